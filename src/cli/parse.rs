@@ -1,0 +1,99 @@
+//! `uniground parse`: stage 1 on a folder or an archive, without a server.
+
+use crate::geometry::up_axis::UpAxis;
+use crate::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use crate::ingest::{self, ImportSettings};
+use crate::progress::Progress;
+use crate::scene::{ImportReport, Instance, ParseReport, write_instances_ply};
+use crate::scene_parsing::masks::rgbd::RgbdMasks;
+use crate::scene_parsing::{self, ParsingSettings};
+use anyhow::Context;
+use camino::{Utf8Path, Utf8PathBuf};
+use serde::Serialize;
+use std::fs::{self, File};
+use tokio_util::sync::CancellationToken;
+
+#[derive(Debug, clap::Args)]
+pub struct ParseArgs {
+    /// A scan: a folder, or an archive (.zip, .tar, .tar.zst)
+    scan: Utf8PathBuf,
+    /// Write report.json, instances.json and instances.ply here
+    #[arg(long, value_name = "FOLDER")]
+    report: Option<Utf8PathBuf>,
+    /// Settings of stage 1 as JSON; what is left out keeps its default
+    #[arg(long, value_name = "FILE")]
+    settings: Option<Utf8PathBuf>,
+    /// The axis that points up in the scan: x, -x, y, -y, z or -z
+    #[arg(long, allow_hyphen_values = true, value_parser = parse_up)]
+    up: Option<UpAxis>,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Serialize)]
+struct Report<'a> {
+    import: &'a ImportReport,
+    parse: &'a ParseReport,
+}
+
+fn parse_up(text: &str) -> Result<UpAxis, String> {
+    UpAxis::ALL.into_iter().find(|axis| axis.name() == text).ok_or_else(|| "expected x, -x, y, -y, z or -z".into())
+}
+
+pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
+    let settings = match &args.settings {
+        Some(file) => serde_json::from_str(&fs::read_to_string(file).with_context(|| file.to_string())?).with_context(|| file.to_string())?,
+        None => ParsingSettings::default(),
+    };
+    if let Err((pointer, expected)) = settings.check() {
+        anyhow::bail!("settings: {pointer} must be {expected}");
+    }
+    let unpacked = tempfile::tempdir()?;
+    let folder = if args.scan.is_dir() { args.scan.clone() } else { unpack_archive(&args.scan, unpacked.path().try_into()?)? };
+
+    let progress = Progress::new(|stage, done| eprint!("\r{:>5.1} % {stage:<24}", done * 100.0), CancellationToken::new());
+    let import = ImportSettings { up: args.up, ..ImportSettings::default() };
+    let bundle = ingest::load(&ingest::open(&folder)?, &import, &progress.part(0.0, 0.3))?;
+    let import = bundle.report.clone();
+    let masks = RgbdMasks { settings: settings.rgbd_masks };
+    let parsed = scene_parsing::parse(bundle, &masks, &settings, &progress.part(0.3, 1.0))?;
+    eprintln!("\r100.0 % {:<24}", "done");
+
+    let report = Report { import: &import, parse: &parsed.report };
+    if let Some(out) = &args.report {
+        fs::create_dir_all(out)?;
+        fs::write(out.join("report.json"), serde_json::to_vec_pretty(&report)?)?;
+        fs::write(out.join("instances.json"), serde_json::to_vec_pretty(&parsed.instances)?)?;
+        write_instances_ply(&parsed, File::create(out.join("instances.ply"))?)?;
+    }
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&report)?);
+    } else {
+        print_summary(&report, &parsed.instances);
+    }
+    Ok(())
+}
+
+fn unpack_archive(archive: &Utf8Path, into: &Utf8Path) -> anyhow::Result<Utf8PathBuf> {
+    let kind = ArchiveKind::of_file_name(archive.as_str()).with_context(|| format!("{archive}: expected a folder, .zip, .tar or .tar.zst"))?;
+    unpack(archive, kind, into, &UnpackLimits::default())?;
+    Ok(into.to_owned())
+}
+
+fn print_summary(Report { import, parse }: &Report, instances: &[Instance]) {
+    println!("{} frames, {} points, {} superpoints, {} instances ({} structural)", parse.frames_used, parse.points, parse.superpoints, parse.instances, parse.structural);
+    for stage in &parse.stages {
+        println!("  {:<20} {:>7.2} s", stage.stage, stage.seconds);
+    }
+    for warning in import.warnings.iter().chain(&parse.warnings) {
+        println!("  warning: {warning}");
+    }
+    for instance in instances.iter().take(60) {
+        let (center, size) = (instance.aabb.center, instance.aabb.size);
+        println!(
+            "  {:>3} {:<14} at ({:6.2} {:6.2} {:6.2}) size ({:.2} {:.2} {:.2}) {:>7} points",
+            instance.id, instance.label(), center.x, center.y, center.z, size.x, size.y, size.z, instance.point_count
+        );
+    }
+}

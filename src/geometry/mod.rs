@@ -1,0 +1,14 @@
+//! Numbers with units: boxes, poses, voxels, union-find, robust statistics, colour.
+//!
+//! The bottom of the house: nothing here knows what a scene is. Lengths are metres, angles radians,
+//! the world is right-handed with Z up, unless a name says otherwise.
+
+pub mod boxes;
+pub mod colour;
+pub mod pose;
+pub mod statistics;
+pub mod union_find;
+pub mod up_axis;
+pub mod voxels;
+
+pub use nalgebra::{Isometry3, Matrix3, Matrix4, Point2, Point3, Vector2, Vector3};

@@ -1,0 +1,146 @@
+//! Sparse voxel grids: points binned into cubes, cubes found by their integer coordinates.
+
+use super::Point3;
+use rayon::prelude::*;
+use std::collections::HashMap;
+use std::hash::{BuildHasherDefault, Hasher};
+
+/// Integer voxel coordinates packed into one sortable key, 21 bits an axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct VoxelKey(pub u64);
+
+const BIAS: i64 = 1 << 20;
+const MASK: u64 = (1 << 21) - 1;
+
+impl VoxelKey {
+    /// The voxel of edge `voxel_m` that holds `p`; coordinates beyond ±2^20 voxels are clamped to the rim.
+    #[must_use]
+    pub fn of(p: &Point3<f32>, voxel_m: f32) -> Self {
+        Self::pack([p.x, p.y, p.z].map(|c| (c / voxel_m).floor() as i64))
+    }
+
+    fn pack(cell: [i64; 3]) -> Self {
+        let [x, y, z] = cell.map(|c| (c + BIAS).clamp(0, MASK as i64) as u64);
+        Self(x << 42 | y << 21 | z)
+    }
+
+    /// The key `d` voxels away.
+    #[must_use]
+    pub fn offset(self, d: [i64; 3]) -> Self {
+        let cell = [self.0 >> 42, self.0 >> 21 & MASK, self.0 & MASK];
+        Self::pack(std::array::from_fn(|i| cell[i] as i64 - BIAS + d[i]))
+    }
+
+    /// Centre of the voxel, metres.
+    #[must_use]
+    pub fn center(self, voxel_m: f32) -> Point3<f32> {
+        let at = |shift: u32| ((self.0 >> shift & MASK) as i64 - BIAS) as f32 * voxel_m + voxel_m / 2.0;
+        Point3::new(at(42), at(21), at(0))
+    }
+}
+
+/// A multiplicative hasher for packed keys: they are already well spread and hostile input costs only time.
+#[derive(Default)]
+pub struct KeyHasher(u64);
+
+impl Hasher for KeyHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+    fn write(&mut self, bytes: &[u8]) {
+        for &byte in bytes {
+            self.write_u64(u64::from(byte));
+        }
+    }
+    fn write_u64(&mut self, value: u64) {
+        let mixed = (self.0 ^ value).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        self.0 = mixed ^ mixed >> 32;
+    }
+}
+
+pub type VoxelMap<V> = HashMap<VoxelKey, V, BuildHasherDefault<KeyHasher>>;
+
+/// Points grouped by voxel. Voxels are numbered in key order, so the numbering depends on the points alone.
+pub struct VoxelGrid {
+    pub keys: Vec<VoxelKey>,
+    /// Voxel number of each input point.
+    pub of_point: Vec<u32>,
+    index: VoxelMap<u32>,
+}
+
+impl VoxelGrid {
+    #[must_use]
+    pub fn new(points: &[Point3<f32>], voxel_m: f32) -> Self {
+        let point_keys: Vec<VoxelKey> = points.par_iter().map(|p| VoxelKey::of(p, voxel_m)).collect();
+        let mut keys = point_keys.clone();
+        keys.par_sort_unstable();
+        keys.dedup();
+        let index: VoxelMap<u32> = keys.iter().enumerate().map(|(i, &k)| (k, i as u32)).collect();
+        let of_point = point_keys.par_iter().map(|k| index[k]).collect();
+        Self { keys, of_point, index }
+    }
+
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.keys.len()
+    }
+
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.keys.is_empty()
+    }
+
+    #[must_use]
+    pub fn get(&self, key: VoxelKey) -> Option<u32> {
+        self.index.get(&key).copied()
+    }
+
+    /// The occupied ones among the 26 neighbours of voxel `i`, in a fixed order.
+    pub fn neighbours(&self, i: u32) -> impl Iterator<Item = u32> + '_ {
+        let key = self.keys[i as usize];
+        NEIGHBOURS_26.iter().filter_map(move |&d| self.get(key.offset(d)))
+    }
+}
+
+/// Offsets of the 26 voxels around one.
+pub const NEIGHBOURS_26: [[i64; 3]; 26] = {
+    let mut all = [[0; 3]; 26];
+    let (mut n, mut i) = (0, 0);
+    while i < 27 {
+        let d = [i / 9 - 1, i / 3 % 3 - 1, i % 3 - 1];
+        if i != 13 {
+            all[n] = d;
+            n += 1;
+        }
+        i += 1;
+    }
+    all
+};
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_know_their_neighbours_across_zero() {
+        let key = VoxelKey::of(&Point3::new(-0.01, 0.01, 0.0), 0.05);
+        assert_eq!(key.offset([1, 0, 0]), VoxelKey::of(&Point3::new(0.01, 0.01, 0.0), 0.05));
+        assert!((key.center(0.05) - Point3::new(-0.025, 0.025, 0.025)).norm() < 1e-6);
+    }
+
+    #[test]
+    fn every_point_is_in_its_voxel() {
+        let points: Vec<_> = (0..100).map(|i| Point3::new(i as f32 * 0.013, -(i as f32) * 0.007, 0.5)).collect();
+        let grid = VoxelGrid::new(&points, 0.05);
+        for (p, &v) in points.iter().zip(&grid.of_point) {
+            assert_eq!(grid.keys[v as usize], VoxelKey::of(p, 0.05));
+        }
+        assert!(grid.len() < points.len() && grid.neighbours(0).count() > 0);
+    }
+
+    #[test]
+    fn wild_coordinates_do_not_panic() {
+        let grid = VoxelGrid::new(&[Point3::new(1e30, -1e30, f32::NAN), Point3::new(f32::INFINITY, 0.0, 0.0)], 0.01);
+        assert_eq!(grid.of_point.len(), 2);
+    }
+}

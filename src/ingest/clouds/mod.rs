@@ -1,0 +1,3 @@
+//! Point cloud files.
+
+pub(super) mod ply;

@@ -1,0 +1,120 @@
+//! Dataset layouts. Each file knows one layout and describes it as a [`Scan`]; nothing is decoded here.
+
+mod color_depth_pose;
+mod neutral;
+
+use super::IngestError;
+use super::validate;
+use crate::geometry::Matrix4;
+use crate::geometry::up_axis::UpAxis;
+use crate::scene::{Intrinsics, PoseConvention};
+use camino::{Utf8Path, Utf8PathBuf};
+use std::fs;
+
+/// A scan as its files describe it: not yet canonical, pictures not yet decoded, paths below `root`.
+#[derive(Debug, Clone)]
+pub struct Scan {
+    pub root: Utf8PathBuf,
+    pub format: &'static str,
+    pub name: Option<String>,
+    pub cloud: Option<Utf8PathBuf>,
+    pub frames: Vec<RawFrame>,
+    /// As written in the files; `None` = not said.
+    pub up: Option<UpAxis>,
+    pub camera_axes: CameraAxes,
+    pub pose: PoseConvention,
+    /// Metres per unit of the depth pictures.
+    pub depth_scale_m: f32,
+    pub frames_skipped: u32,
+    pub warnings: Vec<String>,
+}
+
+#[derive(Debug, Clone)]
+pub struct RawFrame {
+    pub color: Utf8PathBuf,
+    pub depth: Utf8PathBuf,
+    pub pose_file: Utf8PathBuf,
+    pub pose: Matrix4<f32>,
+    pub color_intrinsics: Intrinsics,
+    pub depth_intrinsics: Intrinsics,
+}
+
+/// Which way a camera's own axes point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum CameraAxes {
+    /// x right, y down, z forward.
+    Opencv,
+    /// x right, y up, z backward.
+    Opengl,
+}
+
+/// Recognises the layout below `folder` and checks everything that can be checked without decoding pictures.
+///
+/// # Errors
+/// [`IngestError`] naming the file, frame or field.
+pub fn open(folder: &Utf8Path) -> Result<Scan, IngestError> {
+    let root = scene_root(folder)?;
+    let mut scan = if root.join("scene.json").is_file() {
+        neutral::read(&root)?
+    } else if color_depth_pose::recognises(&root) {
+        color_depth_pose::read(&root)?
+    } else {
+        return Err(IngestError::UnknownLayout { found: describe(&root)? });
+    };
+    validate::check(&mut scan)?;
+    Ok(scan)
+}
+
+/// Archives are often made of one folder: step into it. Files that operating systems leave behind are not looked at.
+fn scene_root(folder: &Utf8Path) -> Result<Utf8PathBuf, IngestError> {
+    match &entries(folder)?[..] {
+        [only] if folder.join(only).is_dir() => Ok(folder.join(only)),
+        _ => Ok(folder.to_owned()),
+    }
+}
+
+fn describe(root: &Utf8Path) -> Result<String, IngestError> {
+    let names = entries(root)?;
+    let shown = names.iter().take(8).cloned().collect::<Vec<_>>().join(", ");
+    Ok(match names.len() {
+        0 => "nothing".into(),
+        n if n > 8 => format!("{shown} and {} more", n - 8),
+        _ => shown,
+    })
+}
+
+/// Names in a folder, sorted, without hidden files and `__MACOSX`.
+fn entries(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
+    let io = |source| IngestError::Io { file: folder.file_name().unwrap_or("archive").into(), source };
+    let mut names = Vec::new();
+    for entry in fs::read_dir(folder).map_err(io)? {
+        let name = entry.map_err(io)?.file_name().to_string_lossy().into_owned();
+        if !name.starts_with('.') && name != "__MACOSX" {
+            names.push(name);
+        }
+    }
+    names.sort();
+    Ok(names)
+}
+
+/// Reads a file of whitespace-separated numbers.
+fn read_numbers(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<f32>, IngestError> {
+    let text = fs::read_to_string(root.join(file)).map_err(|source| match source.kind() {
+        std::io::ErrorKind::NotFound => IngestError::MissingFile { file: file.to_owned() },
+        std::io::ErrorKind::InvalidData => IngestError::malformed(file, "not a text file"),
+        _ => IngestError::Io { file: file.to_owned(), source },
+    })?;
+    text.split_whitespace()
+        .map(|word| word.trim_end_matches(',').parse().map_err(|_| IngestError::malformed(file, format!("{word:?} is not a number"))))
+        .collect()
+}
+
+/// Reads a row-major 4x4 pose.
+fn read_pose(root: &Utf8Path, file: &Utf8Path) -> Result<Matrix4<f32>, IngestError> {
+    let values = read_numbers(root, file)?;
+    match values.len() {
+        16 => Ok(Matrix4::from_row_slice(&values)),
+        n => Err(IngestError::malformed(file, format!("a pose has 16 numbers (4x4), this file has {n}"))),
+    }
+}

@@ -1,0 +1,19 @@
+//! Bytes to [`SceneBundle`]: unpack an archive, recognise its layout, check it, load it.
+//!
+//! Two moments. [`open`] runs while the caller waits: it reads manifests, poses and picture headers and refuses what can
+//! not become a scene. [`load`] runs in the parse job: it reads or fuses the cloud and checks that cloud, poses and depth
+//! agree. Everything that leaves this module is canonical (metres, Z up, OpenCV cameras, camera-to-world).
+
+pub mod archive;
+mod clouds;
+mod error;
+mod formats;
+mod fusion;
+mod load;
+mod reprojection;
+mod validate;
+
+pub use error::IngestError;
+pub use formats::{Scan, open};
+pub use fusion::FusionSettings;
+pub use load::{ImportSettings, load};

@@ -1,0 +1,7 @@
+//! uniground: 3D visual grounding as a service.
+pub mod geometry;
+pub mod ingest;
+pub mod progress;
+pub mod scene;
+pub mod scene_parsing;
+pub mod cli;

@@ -1,0 +1,23 @@
+//! Coloured point clouds.
+
+use crate::geometry::Point3;
+
+/// Points and their colours, same length. Metres, world frame.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct PointCloud {
+    pub positions: Vec<Point3<f32>>,
+    /// 8-bit sRGB.
+    pub colours: Vec<[u8; 3]>,
+}
+
+impl PointCloud {
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.positions.len()
+    }
+
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.positions.is_empty()
+    }
+}

@@ -1,0 +1,184 @@
+//! Posed RGB-D frames: references on disk and decoded pictures, one at a time.
+
+use super::{Camera, Intrinsics};
+use crate::geometry::Isometry3;
+use camino::{Utf8Path, Utf8PathBuf};
+use image::{ImageReader, RgbImage};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::io;
+use utoipa::ToSchema;
+
+/// Position of a frame in the scan's own list; stable when frames are skipped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize, ToSchema)]
+#[serde(transparent)]
+pub struct FrameIndex(pub u32);
+
+impl std::fmt::Display for FrameIndex {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// Where one frame lies and how it was taken. Decoding happens in [`FrameRef::decode`].
+#[derive(Debug, Clone)]
+pub struct FrameRef {
+    pub index: FrameIndex,
+    pub color: Utf8PathBuf,
+    pub depth: Utf8PathBuf,
+    pub color_intrinsics: Intrinsics,
+    pub depth_intrinsics: Intrinsics,
+    /// Metres per unit of the depth image.
+    pub depth_scale_m: f32,
+    /// Camera-to-world, OpenCV camera axes, Z-up world, metres.
+    pub camera_to_world: Isometry3<f32>,
+}
+
+/// A frame that could not be read.
+#[derive(Debug, thiserror::Error)]
+pub enum FrameError {
+    #[error("frame {frame}: {file}: {source}")]
+    Unreadable { frame: FrameIndex, file: Utf8PathBuf, #[source] source: io::Error },
+    #[error("frame {frame}: {file} can not be decoded: {source}")]
+    Undecodable { frame: FrameIndex, file: Utf8PathBuf, #[source] source: image::ImageError },
+    #[error("frame {frame}: {file} is {found_width}x{found_height}, its intrinsics say {width}x{height}")]
+    WrongSize { frame: FrameIndex, file: Utf8PathBuf, found_width: u32, found_height: u32, width: u32, height: u32 },
+}
+
+/// Depth along the optical axis, metres; 0 = no measurement. Row-major.
+#[derive(Debug, Clone, PartialEq)]
+pub struct DepthImage {
+    pub width: u32,
+    pub height: u32,
+    pub depth_m: Vec<f32>,
+}
+
+impl DepthImage {
+    /// Depth at a pixel; 0 where nothing was measured.
+    #[must_use]
+    pub fn at(&self, (column, row): (u32, u32)) -> f32 {
+        self.depth_m[(row * self.width + column) as usize]
+    }
+}
+
+/// A decoded frame. Colour and depth may have different resolutions; both are seen from the same pose.
+#[derive(Debug, Clone)]
+pub struct Frame {
+    pub index: FrameIndex,
+    pub color: RgbImage,
+    pub depth: DepthImage,
+    pub color_camera: Camera,
+    pub depth_camera: Camera,
+}
+
+impl FrameRef {
+    #[must_use]
+    pub fn color_camera(&self) -> Camera {
+        Camera::new(self.color_intrinsics, &self.camera_to_world)
+    }
+
+    #[must_use]
+    pub fn depth_camera(&self) -> Camera {
+        Camera::new(self.depth_intrinsics, &self.camera_to_world)
+    }
+
+    /// Reads both pictures of this frame.
+    ///
+    /// # Errors
+    /// [`FrameError`] naming the frame and the file.
+    pub fn decode(&self) -> Result<Frame, FrameError> {
+        Ok(Frame {
+            index: self.index,
+            color: self.decode_color()?,
+            depth: self.decode_depth()?,
+            color_camera: self.color_camera(),
+            depth_camera: self.depth_camera(),
+        })
+    }
+
+    /// # Errors
+    /// [`FrameError`] naming the frame and the file.
+    pub fn decode_color(&self) -> Result<RgbImage, FrameError> {
+        let image = self.read(&self.color)?.into_rgb8();
+        self.expect_size(&self.color, image.dimensions(), &self.color_intrinsics)?;
+        Ok(image)
+    }
+
+    /// # Errors
+    /// [`FrameError`] naming the frame and the file.
+    pub fn decode_depth(&self) -> Result<DepthImage, FrameError> {
+        let image = self.read(&self.depth)?.into_luma16();
+        self.expect_size(&self.depth, image.dimensions(), &self.depth_intrinsics)?;
+        let (width, height) = image.dimensions();
+        let depth_m = image.into_raw().into_iter().map(|unit| f32::from(unit) * self.depth_scale_m).collect();
+        Ok(DepthImage { width, height, depth_m })
+    }
+
+    fn read(&self, file: &Utf8Path) -> Result<image::DynamicImage, FrameError> {
+        let unreadable = |source| FrameError::Unreadable { frame: self.index, file: file.file_name_in_scene(), source };
+        let reader = ImageReader::open(file).map_err(unreadable)?.with_guessed_format().map_err(unreadable)?;
+        reader.decode().map_err(|source| FrameError::Undecodable { frame: self.index, file: file.file_name_in_scene(), source })
+    }
+
+    fn expect_size(&self, file: &Utf8Path, (found_width, found_height): (u32, u32), expected: &Intrinsics) -> Result<(), FrameError> {
+        let &Intrinsics { width, height, .. } = expected;
+        if (found_width, found_height) == (width, height) {
+            return Ok(());
+        }
+        Err(FrameError::WrongSize { frame: self.index, file: file.file_name_in_scene(), found_width, found_height, width, height })
+    }
+}
+
+trait InScene {
+    fn file_name_in_scene(&self) -> Utf8PathBuf;
+}
+
+impl InScene for Utf8Path {
+    /// The last two components: what the uploader knows the file as, without the server's own folders.
+    fn file_name_in_scene(&self) -> Utf8PathBuf {
+        let mut tail: Vec<_> = self.components().rev().take(2).collect();
+        tail.reverse();
+        tail.into_iter().collect()
+    }
+}
+
+impl Frame {
+    /// Colour of each depth pixel, row-major: the colour image resampled (nearest) onto the depth grid.
+    #[must_use]
+    pub fn color_on_depth_grid(&self) -> Vec<[u8; 3]> {
+        let (depth, color) = (&self.depth_camera.intrinsics, &self.color_camera.intrinsics);
+        if depth == color {
+            return self.color.pixels().map(|p| p.0).collect();
+        }
+        let clamp = |at: f32, len: u32| (at + 0.5).clamp(0.0, len as f32 - 1.0) as u32;
+        let columns: Vec<u32> =
+            (0..depth.width).map(|u| clamp((u as f32 - depth.cx) / depth.fx * color.fx + color.cx, color.width)).collect();
+        (0..depth.height)
+            .flat_map(|v| {
+                let row = clamp((v as f32 - depth.cy) / depth.fy * color.fy + color.cy, color.height);
+                columns.iter().map(move |&column| self.color.get_pixel(column, row).0)
+            })
+            .collect()
+    }
+}
+
+/// Works on frames in parallel, a few at a time, and folds the results in frame order.
+///
+/// At most as many frames as there are threads are in memory, and what `fold` sees does not depend on that number.
+///
+/// # Errors
+/// The first error of `work` or `fold`, in frame order.
+pub fn stream_frames<T: Send, E: Send>(
+    frames: &[FrameRef],
+    work: impl Fn(&FrameRef) -> Result<T, E> + Sync,
+    mut fold: impl FnMut(usize, T) -> Result<(), E>,
+) -> Result<(), E> {
+    let at_once = rayon::current_num_threads();
+    for (batch, refs) in frames.chunks(at_once).enumerate() {
+        let results: Vec<_> = refs.par_iter().map(&work).collect();
+        for (i, result) in results.into_iter().enumerate() {
+            fold(batch * at_once + i, result?)?;
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,123 @@
+//! Regions to instances: boxes, colours, support, structure. Class-agnostic; flags never drop an instance.
+
+mod bounds;
+mod structure;
+mod support;
+
+use crate::geometry::boxes::{Aabb, OrientedBox};
+use crate::geometry::colour::ColourHistogram;
+use crate::geometry::{Matrix3, Point3, Vector3};
+use crate::scene::{Instance, InstanceId, PointCloud};
+use nalgebra::SymmetricEigen;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct InstanceSettings {
+    /// Share of the points cut off at either end of each axis for the robust bounds.
+    pub trim: f32,
+    /// A point with fewer neighbours than this in its voxel and the 26 around is stray.
+    pub stray_neighbours: u32,
+    /// Edge of the voxels stray points are looked for in, metres.
+    pub stray_voxel_m: f32,
+}
+
+impl Default for InstanceSettings {
+    fn default() -> Self {
+        Self { trim: 0.005, stray_neighbours: 4, stray_voxel_m: 0.03 }
+    }
+}
+
+/// Builds instances from the region of each point. Returns them in order of id and the instance of each point.
+///
+/// Ids count from 1 in falling order of points; ties by the region's first point.
+#[must_use]
+pub fn build(cloud: &PointCloud, region_of_point: &[u32], settings: &InstanceSettings) -> (Vec<Instance>, Vec<InstanceId>) {
+    let count = region_of_point.iter().max().map_or(0, |&r| r as usize + 1);
+    let mut members: Vec<Vec<u32>> = vec![Vec::new(); count];
+    for (i, &region) in region_of_point.iter().enumerate() {
+        members[region as usize].push(i as u32);
+    }
+    members.retain(|points| !points.is_empty());
+    members.sort_by_key(|points| (std::cmp::Reverse(points.len()), points[0]));
+    let mut of_point = vec![InstanceId(0); cloud.len()];
+    for (i, points) in members.iter().enumerate() {
+        points.iter().for_each(|&p| of_point[p as usize] = InstanceId(i as u32 + 1));
+    }
+    let shapes: Vec<Shape> = members.par_iter().map(|points| Shape::of(cloud, points, settings)).collect();
+    let room = structure::Room::of(&shapes);
+    let structures: Vec<_> = shapes.iter().map(|shape| room.structure_of(shape)).collect();
+    let supports = support::all(&shapes, &structures, room.floor_z);
+    let instances = shapes
+        .into_iter()
+        .zip(structures)
+        .zip(supports)
+        .enumerate()
+        .map(|(i, ((shape, structure), support))| Instance {
+            id: InstanceId(i as u32 + 1),
+            aabb: shape.aabb,
+            raw_box: shape.raw_box,
+            oriented_box: shape.oriented_box,
+            point_count: shape.point_count,
+            mean_rgb: shape.mean_rgb,
+            colours: shape.colours,
+            planarity: shape.planarity,
+            structure,
+            support,
+            height_above_floor_m: shape.aabb.min().z - room.floor_z,
+            views: Vec::new(),
+            names: Vec::new(),
+        })
+        .collect();
+    (instances, of_point)
+}
+
+/// What the points of one region look like, before they are compared with the others.
+struct Shape {
+    point_count: u32,
+    aabb: Aabb,
+    raw_box: Aabb,
+    oriented_box: OrientedBox,
+    mean_rgb: [u8; 3],
+    colours: ColourHistogram,
+    normal: Vector3<f32>,
+    planarity: f32,
+}
+
+impl Shape {
+    fn of(cloud: &PointCloud, members: &[u32], settings: &InstanceSettings) -> Self {
+        let positions: Vec<Point3<f32>> = members.iter().map(|&i| cloud.positions[i as usize]).collect();
+        let colours = || members.iter().map(|&i| cloud.colours[i as usize]);
+        let raw_box = Aabb::around(&positions).unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
+        let (aabb, oriented_box) = bounds::robust(&positions, settings);
+        let (normal, planarity) = plane(&positions);
+        let n = members.len().max(1) as f32;
+        let sum = colours().fold([0.0_f32; 3], |sum, c| std::array::from_fn(|i| sum[i] + f32::from(c[i])));
+        Self {
+            point_count: members.len() as u32,
+            aabb,
+            raw_box,
+            oriented_box,
+            mean_rgb: sum.map(|s| (s / n).round() as u8),
+            colours: ColourHistogram::of(colours()),
+            normal,
+            planarity,
+        }
+    }
+}
+
+/// Points this close to the best plane count as on it, metres.
+const ON_PLANE_M: f32 = 0.03;
+
+/// Normal of the best plane and the share of points on it.
+fn plane(positions: &[Point3<f32>]) -> (Vector3<f32>, f32) {
+    let n = positions.len().max(1) as f32;
+    let mean = positions.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / n;
+    let scatter = positions.iter().fold(Matrix3::zeros(), |sum, p| sum + (p.coords - mean) * (p.coords - mean).transpose());
+    let eigen = SymmetricEigen::new(scatter / n);
+    let normal: Vector3<f32> = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
+    let on_plane = positions.iter().filter(|p| (p.coords - mean).dot(&normal).abs() <= ON_PLANE_M).count();
+    (normal, on_plane as f32 / n)
+}

@@ -1,0 +1,31 @@
+//! 2D masks: which pixels of a frame belong to the same thing.
+//!
+//! A [`MaskSource`] gives one id image per frame; what the ids mean is only known within that frame.
+
+pub mod rgbd;
+
+use crate::scene::Frame;
+
+/// One mask id per pixel of a frame's **depth** image, row-major; 0 = no mask.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct IdImage {
+    pub width: u32,
+    pub height: u32,
+    pub ids: Vec<u16>,
+}
+
+impl IdImage {
+    #[must_use]
+    pub fn at(&self, (column, row): (u32, u32)) -> u16 {
+        self.ids[(row * self.width + column) as usize]
+    }
+}
+
+/// Where masks come from: built in (`rgbd`), a segmentation model, or annotations.
+pub trait MaskSource: Send + Sync {
+    /// Name and version, recorded with the parse.
+    fn name(&self) -> &str;
+
+    /// The masks of one frame, at the resolution of its depth image.
+    fn masks(&self, frame: &Frame) -> IdImage;
+}

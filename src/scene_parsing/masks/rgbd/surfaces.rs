@@ -1,0 +1,142 @@
+//! A frame as a grid of surface elements in camera axes.
+
+use crate::geometry::colour::{Lab, lab_of_srgb};
+use crate::geometry::{Point3, Vector3};
+use crate::scene::Frame;
+
+/// Surface elements on a grid of every `stride`-th pixel; row-major vectors of `width * height`.
+pub(super) struct Surfaces {
+    pub width: usize,
+    pub height: usize,
+    stride: u32,
+    /// 0 = no measurement.
+    pub depth_m: Vec<f32>,
+    /// Camera axes, metres; meaningless without depth.
+    pub points: Vec<Point3<f32>>,
+    /// Unit normals towards the camera; zero without depth.
+    pub normals: Vec<Vector3<f32>>,
+    pub labs: Vec<Lab>,
+    /// Metres between neighbouring elements at one metre.
+    pub spacing_per_m: f32,
+}
+
+impl Surfaces {
+    pub fn of(frame: &Frame, stride: u32) -> Self {
+        let stride = stride.max(1);
+        let intrinsics = frame.depth_camera.intrinsics;
+        let (width, height) = ((frame.depth.width / stride).max(1) as usize, (frame.depth.height / stride).max(1) as usize);
+        let colours = frame.color_on_depth_grid();
+        let (mut depth_m, mut points, mut labs) = (Vec::new(), Vec::new(), Vec::new());
+        for row in 0..height as u32 {
+            for column in 0..width as u32 {
+                let (u, v) = (column * stride, row * stride);
+                let z = frame.depth.at((u, v));
+                depth_m.push(z);
+                points.push(intrinsics.unproject(u as f32, v as f32, z));
+                labs.push(lab_of_srgb(block_mean(&colours, &frame.depth, u, v, stride)));
+            }
+        }
+        let spacing_per_m = stride as f32 / intrinsics.fx;
+        let mut surfaces = Self { width, height, stride, depth_m, points, normals: Vec::new(), labs, spacing_per_m };
+        surfaces.normals = surfaces.smooth_normals();
+        surfaces
+    }
+
+    /// The grid element that stands for a full-resolution pixel.
+    pub fn cell_of(&self, u: u32, v: u32) -> usize {
+        let (column, row) = ((u / self.stride) as usize, (v / self.stride) as usize);
+        row.min(self.height - 1) * self.width + column.min(self.width - 1)
+    }
+
+    /// Whether the surface runs on from one element to another: their depths differ no more than noise and slant explain.
+    pub fn continuous(&self, a: usize, b: usize) -> bool {
+        let (za, zb) = (self.depth_m[a], self.depth_m[b]);
+        if za <= 0.0 || zb <= 0.0 {
+            return false;
+        }
+        let z = za.min(zb);
+        let step = self.points[b] - self.points[a];
+        // Out of either element's tangent plane: a slanted floor has large depth steps but stays in its plane.
+        let off_plane = step.dot(&self.normals[a]).abs().min(step.dot(&self.normals[b]).abs());
+        off_plane <= 0.006 + 0.005 * z * z && step.norm() <= 0.03 + 12.0 * self.spacing_per_m * z
+    }
+
+    /// Elements right of and below each element, as pairs.
+    pub fn links(&self) -> impl Iterator<Item = (usize, usize)> + '_ {
+        let (w, n) = (self.width, self.width * self.height);
+        (0..n).flat_map(move |i| {
+            let right = (i % w + 1 < w).then_some((i, i + 1));
+            let below = (i + w < n).then_some((i, i + w));
+            right.into_iter().chain(below)
+        })
+    }
+
+    /// Normals by least squares over a window that widens with sensor noise (about depth squared), not across depth steps.
+    fn smooth_normals(&self) -> Vec<Vector3<f32>> {
+        let (w, h) = (self.width as i32, self.height as i32);
+        let tangent = |i: usize, du: i32, dv: i32, reach: i32| -> Option<Vector3<f32>> {
+            let (u, v) = ((i as i32) % w, (i as i32) / w);
+            let z = self.depth_m[i];
+            let at = |k: i32| {
+                let (u, v) = (u + du * k, v + dv * k);
+                let j = (v * w + u) as usize;
+                let inside = (0..w).contains(&u) && (0..h).contains(&v);
+                (inside && self.depth_m[j] > 0.0 && (self.depth_m[j] - z).abs() < 0.02 * z + 3.0 * self.spacing_per_m * z * k.abs() as f32).then(|| self.points[j])
+            };
+            // Mean slope over the window: pairs (-k, +k), one-sided at borders.
+            let mut sum = Vector3::zeros();
+            for k in 1..=reach {
+                let here = self.points[i];
+                match (at(-k), at(k)) {
+                    (Some(a), Some(b)) => sum += b - a,
+                    (None, Some(b)) => sum += (b - here) * 2.0,
+                    (Some(a), None) => sum += (here - a) * 2.0,
+                    (None, None) => break,
+                }
+            }
+            (sum.norm_squared() > 0.0).then_some(sum)
+        };
+        let raw: Vec<Vector3<f32>> = (0..self.depth_m.len())
+            .map(|i| {
+                let z = self.depth_m[i];
+                if z <= 0.0 {
+                    return Vector3::zeros();
+                }
+                let reach = (2.0 + z).round().clamp(2.0, 6.0) as i32;
+                let normal = tangent(i, 1, 0, reach).zip(tangent(i, 0, 1, reach)).and_then(|(u, v)| u.cross(&v).try_normalize(1e-12));
+                // u x v looks away from the camera (x right, y down, z forward): turn it around where needed.
+                normal.map_or(Vector3::zeros(), |n| if n.dot(&self.points[i].coords) > 0.0 { -n } else { n })
+            })
+            .collect();
+        // One pass over the neighbours on the same surface evens out what the slopes left.
+        (0..raw.len())
+            .map(|i| {
+                let (u, v) = ((i as i32) % w, (i as i32) / w);
+                let mut sum = raw[i];
+                for (du, dv) in [(-1, 0), (1, 0), (0, -1), (0, 1), (-1, -1), (1, 1), (-1, 1), (1, -1)] {
+                    if (0..w).contains(&(u + du)) && (0..h).contains(&(v + dv)) {
+                        let j = ((v + dv) * w + u + du) as usize;
+                        if (self.depth_m[j] - self.depth_m[i]).abs() < 0.02 * self.depth_m[i] && raw[i].dot(&raw[j]) > 0.9 {
+                            sum += raw[j];
+                        }
+                    }
+                }
+                sum.try_normalize(1e-9).unwrap_or_else(Vector3::zeros)
+            })
+            .collect()
+    }
+}
+
+/// Mean colour of a block of pixels: halves noise and texture before edges are looked for.
+fn block_mean(colours: &[[u8; 3]], depth: &crate::scene::DepthImage, u: u32, v: u32, stride: u32) -> [u8; 3] {
+    let mut sum = [0_u32; 3];
+    let mut count = 0;
+    for row in v..(v + stride).min(depth.height) {
+        for column in u..(u + stride).min(depth.width) {
+            let colour = colours[(row * depth.width + column) as usize];
+            (0..3).for_each(|c| sum[c] += u32::from(colour[c]));
+            count += 1;
+        }
+    }
+    sum.map(|s| (s / count.max(1)) as u8)
+}

@@ -1,0 +1,116 @@
+//! Every number stage 1 depends on. Two presets: `default` (what measures best) and `paper` (every value the paper states).
+
+use super::frame_sampling::FrameSamplingSettings;
+use super::instances::InstanceSettings;
+use super::masks::rgbd::RgbdSettings;
+use super::merging::MergeSettings;
+use super::superpoints::SuperpointSettings;
+use super::views::ViewSettings;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// Settings of stage 1. Fields left out keep their default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ParsingSettings {
+    pub frame_sampling: FrameSamplingSettings,
+    pub superpoints: SuperpointSettings,
+    /// The built-in masks.
+    pub rgbd_masks: RgbdSettings,
+    /// A point fits the measured depth when `|z - d| <= this * d`. Paper: 0.15, which is loose; 0.05 measures better.
+    pub depth_tolerance: f32,
+    pub merging: MergeSettings,
+    pub instances: InstanceSettings,
+    pub views: ViewSettings,
+}
+
+impl Default for ParsingSettings {
+    fn default() -> Self {
+        Self {
+            frame_sampling: FrameSamplingSettings::default(),
+            superpoints: SuperpointSettings::default(),
+            rgbd_masks: RgbdSettings::default(),
+            depth_tolerance: 0.05,
+            merging: MergeSettings::default(),
+            instances: InstanceSettings::default(),
+            views: ViewSettings::default(),
+        }
+    }
+}
+
+impl ParsingSettings {
+    /// Every value the paper states; where it is silent, the default.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            frame_sampling: FrameSamplingSettings { max_frames: None, ..FrameSamplingSettings::default() },
+            superpoints: SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..SuperpointSettings::default() },
+            depth_tolerance: 0.15,
+            ..Self::default()
+        }
+    }
+
+    /// Names the first field whose value makes no sense, as a JSON pointer, and says what would.
+    ///
+    /// # Errors
+    /// The pointer and the expectation.
+    pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
+        let Self { frame_sampling, superpoints, rgbd_masks, depth_tolerance, merging, instances, views } = self;
+        let positive = |v: f32| v.is_finite() && v > 0.0;
+        let share = |v: f32| (0.0..=1.0).contains(&v);
+        let weight = |v: f32| v.is_finite() && v >= 0.0;
+        let rules: [(&str, bool, &str); 28] = [
+            ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
+            ("/frame_sampling/max_frames", frame_sampling.max_frames != Some(0), "at least 1, or null"),
+            ("/superpoints/voxel_m", (0.001..=10.0).contains(&superpoints.voxel_m), "0.001 to 10 metres"),
+            ("/superpoints/seed_m", superpoints.seed_m.is_finite() && superpoints.seed_m >= superpoints.voxel_m, "at least voxel_m"),
+            ("/superpoints/seed_m", superpoints.seed_m <= 100.0 * superpoints.voxel_m, "at most 100 voxels"),
+            ("/superpoints/spatial_weight", weight(superpoints.spatial_weight), "0 or more"),
+            ("/superpoints/normal_weight", weight(superpoints.normal_weight), "0 or more"),
+            ("/superpoints/colour_weight", weight(superpoints.colour_weight), "0 or more"),
+            ("/superpoints/smoothness_deg", (0.0..=90.0).contains(&superpoints.smoothness_deg), "0 to 90 degrees"),
+            ("/superpoints/curvature", weight(superpoints.curvature), "0 or more"),
+            ("/superpoints/colour_tolerance", weight(superpoints.colour_tolerance), "0 or more"),
+            ("/rgbd_masks/stride", (1..=16).contains(&rgbd_masks.stride), "1 to 16 pixels"),
+            ("/rgbd_masks/colour_edge", positive(rgbd_masks.colour_edge), "above 0"),
+            ("/rgbd_masks/concave_edge_deg", positive(rgbd_masks.concave_edge_deg), "above 0"),
+            ("/rgbd_masks/convex_edge_deg", positive(rgbd_masks.convex_edge_deg), "above 0"),
+            ("/rgbd_masks/patch_scale", weight(rgbd_masks.patch_scale), "0 or more"),
+            ("/rgbd_masks/join_cost", weight(rgbd_masks.join_cost), "0 or more"),
+            ("/rgbd_masks/join_colour", positive(rgbd_masks.join_colour), "above 0"),
+            ("/rgbd_masks/join_concave_deg", positive(rgbd_masks.join_concave_deg), "above 0"),
+            ("/rgbd_masks/plane_area_m2", weight(rgbd_masks.plane_area_m2), "0 or more"),
+            ("/depth_tolerance", (0.0..1.0).contains(depth_tolerance), "0 to 1"),
+            ("/merging/thresholds", !merging.thresholds.is_empty() && merging.thresholds.iter().all(|&t| share(t)), "one or more values from 0 to 1"),
+            ("/merging/thresholds", merging.thresholds.len() <= 20, "at most 20 stages"),
+            ("/merging/max_hop", (1..=4).contains(&merging.max_hop), "1 to 4"),
+            ("/merging/hop_decay", share(merging.hop_decay) && merging.hop_decay > 0.0, "above 0, at most 1"),
+            ("/instances/trim", (0.0..0.5).contains(&instances.trim), "0 to 0.5"),
+            ("/instances/stray_voxel_m", (0.001..=10.0).contains(&instances.stray_voxel_m), "0.001 to 10 metres"),
+            ("/views/count", (1..=16).contains(&views.count), "1 to 16"),
+        ];
+        rules.into_iter().find(|(_, fine, _)| !fine).map_or(Ok(()), |(pointer, _, expected)| Err((pointer, expected)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_presets_make_sense_and_survive_json() {
+        for settings in [ParsingSettings::default(), ParsingSettings::paper()] {
+            assert_eq!(settings.check(), Ok(()));
+            let json = serde_json::to_string(&settings).unwrap();
+            assert_eq!(serde_json::from_str::<ParsingSettings>(&json).unwrap(), settings);
+        }
+        assert!(serde_json::from_str::<ParsingSettings>(r#"{"superpoints":{"voxels":1}}"#).is_err());
+    }
+
+    #[test]
+    fn nonsense_is_named() {
+        let mut settings = ParsingSettings::default();
+        settings.superpoints.voxel_m = f32::NAN;
+        assert_eq!(settings.check().unwrap_err().0, "/superpoints/voxel_m");
+    }
+}

@@ -1,0 +1,129 @@
+//! VCCS (Papon et al. 2013): supervoxels grow from seeds over the voxel graph, one ring a round.
+//!
+//! All voxels look at their neighbours' labels of the round before, so a round is parallel and its result does not depend on
+//! the order of work.
+
+use super::{Patch, SuperpointSettings};
+use super::voxel_cloud::VoxelCloud;
+use crate::geometry::colour::Lab;
+use crate::geometry::voxels::{VoxelKey, VoxelMap};
+use crate::geometry::{Point3, Vector3};
+use crate::progress::{Cancelled, Progress};
+use rayon::prelude::*;
+
+const NONE: u32 = u32::MAX;
+/// CIELAB distance that counts as one unit.
+const COLOUR_UNIT: f32 = 50.0;
+/// Supervoxels may reach this many seed distances: PCL's value, enough to meet their neighbours around corners.
+const REACH: f32 = 1.8;
+
+/// Labels every voxel. Parts of the graph no seed reaches become supervoxels of their own.
+pub(super) fn grow(voxels: &VoxelCloud, settings: &SuperpointSettings, progress: &Progress) -> Result<Vec<u32>, Cancelled> {
+    let seeds = seeds(voxels, settings);
+    let mut labels = vec![NONE; voxels.len()];
+    for (label, &seed) in seeds.iter().enumerate() {
+        labels[seed as usize] = label as u32;
+    }
+    let mut centers: Vec<Patch> = seeds.iter().map(|&s| voxels.patches[s as usize]).collect();
+    let rounds = (REACH * settings.seed_m / settings.voxel_m).ceil() as usize;
+    for round in 0..rounds {
+        progress.report("superpoints", round as f32 / rounds as f32)?;
+        let next: Vec<u32> = (0..voxels.len() as u32).into_par_iter().map(|v| best_label(voxels, &labels, &centers, v, settings)).collect();
+        if next == labels {
+            break;
+        }
+        labels = next;
+        centers = recenter(voxels, &labels, &centers);
+    }
+    // What no seed reached still shares one label: connected() tells those islands apart.
+    Ok(voxels.connected(&labels))
+}
+
+/// One seed per occupied cell of the coarse grid: the voxel nearest the cell's own centre of mass.
+///
+/// Seeds with hardly any surface around them are noise and are left out (their voxels may still join a neighbour's supervoxel).
+fn seeds(voxels: &VoxelCloud, settings: &SuperpointSettings) -> Vec<u32> {
+    let mut cells: VoxelMap<(Vector3<f32>, f32)> = VoxelMap::default();
+    let cell_of = |v: usize| VoxelKey::of(&voxels.patches[v].center, settings.seed_m);
+    for v in 0..voxels.len() {
+        let cell = cells.entry(cell_of(v)).or_insert((Vector3::zeros(), 0.0));
+        cell.0 += voxels.patches[v].center.coords;
+        cell.1 += 1.0;
+    }
+    let mut nearest: VoxelMap<(f32, u32)> = VoxelMap::default();
+    for v in 0..voxels.len() {
+        let key = cell_of(v);
+        let (sum, count) = cells[&key];
+        let distance = (voxels.patches[v].center.coords - sum / count).norm_squared();
+        let best = nearest.entry(key).or_insert((f32::INFINITY, NONE));
+        if distance < best.0 {
+            *best = (distance, v as u32);
+        }
+    }
+    let mut seeds: Vec<u32> = nearest.into_values().map(|(_, v)| v).filter(|&v| voxels.neighbours(v).len() >= MIN_SEED_NEIGHBOURS).collect();
+    seeds.sort_unstable();
+    seeds
+}
+
+/// A surface through a voxel occupies about eight of its neighbours; a stray point has none.
+const MIN_SEED_NEIGHBOURS: usize = 2;
+
+fn best_label(voxels: &VoxelCloud, labels: &[u32], centers: &[Patch], v: u32, settings: &SuperpointSettings) -> u32 {
+    let own = labels[v as usize];
+    let neighbours = voxels.neighbours(v);
+    if neighbours.iter().all(|&n| labels[n as usize] == own) {
+        return own;
+    }
+    let mut best = (if own == NONE { f32::INFINITY } else { distance(voxels, v, &centers[own as usize], settings) }, own);
+    let mut seen = [NONE; 26];
+    for (i, &n) in neighbours.iter().enumerate() {
+        let label = labels[n as usize];
+        if label == NONE || label == own || seen[..i].contains(&label) {
+            continue;
+        }
+        seen[i] = label;
+        let candidate = (distance(voxels, v, &centers[label as usize], settings), label);
+        if candidate.0 < best.0 || (candidate.0 == best.0 && candidate.1 < best.1) {
+            best = candidate;
+        }
+    }
+    best.1
+}
+
+/// Distance of a voxel to a supervoxel in space, normal and colour, each in its own unit.
+fn distance(voxels: &VoxelCloud, v: u32, center: &Patch, settings: &SuperpointSettings) -> f32 {
+    let voxel = &voxels.patches[v as usize];
+    let space = (voxel.center - center.center).norm() / settings.seed_m;
+    let normal = 1.0 - voxel.normal.dot(&center.normal).abs();
+    let colour = (voxel.lab - center.lab).norm() / COLOUR_UNIT;
+    settings.spatial_weight * space + settings.normal_weight * normal + settings.colour_weight * colour
+}
+
+/// Unweighted means over the voxels of each supervoxel: dense parts of a scan must not pull the centres.
+fn recenter(voxels: &VoxelCloud, labels: &[u32], before: &[Patch]) -> Vec<Patch> {
+    let mut sums = vec![(0_u32, Vector3::zeros(), Vector3::zeros(), Lab::zeros()); before.len()];
+    for (voxel, &label) in voxels.patches.iter().zip(labels) {
+        if label == NONE {
+            continue;
+        }
+        let sum = &mut sums[label as usize];
+        // Normals have no sign: turn each to the side the supervoxel already looks.
+        let side = voxel.normal.dot(&before[label as usize].normal).signum();
+        sum.0 += 1;
+        sum.1 += voxel.center.coords;
+        sum.2 += voxel.normal * side;
+        sum.3 += voxel.lab;
+    }
+    sums.into_iter()
+        .zip(before)
+        .map(|((points, position, normal, lab), before)| match points {
+            0 => *before,
+            n => Patch {
+                points,
+                center: Point3::from(position / n as f32),
+                normal: normal.try_normalize(1e-6).unwrap_or(before.normal),
+                lab: lab / n as f32,
+            },
+        })
+        .collect()
+}

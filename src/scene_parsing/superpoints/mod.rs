@@ -1,0 +1,192 @@
+//! Superpoints: small patches that respect object borders (paper: VCCS, then region growing).
+//!
+//! Works on bare coloured points: no mesh and no normals are required. Every point ends in exactly one superpoint, and the
+//! labels depend on the points and settings alone.
+
+mod flow;
+mod region_growing;
+mod voxel_cloud;
+
+use crate::geometry::colour::Lab;
+use crate::geometry::{Matrix3, Point3, Vector3};
+use crate::progress::{Cancelled, Progress};
+use crate::scene::PointCloud;
+use nalgebra::SymmetricEigen;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+use voxel_cloud::VoxelCloud;
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct SuperpointSettings {
+    /// Edge of a voxel, metres. Paper: 0.05. Finer follows object borders better, down to the spacing of the points.
+    pub voxel_m: f32,
+    /// Distance between seeds, metres.
+    pub seed_m: f32,
+    /// Weight of the distance in space, in units of the seed distance.
+    pub spatial_weight: f32,
+    /// Weight of the angle between normals (`1 - |cos|`).
+    pub normal_weight: f32,
+    /// Weight of the CIELAB distance, in units of 50.
+    pub colour_weight: f32,
+    /// Region growing joins patches whose normals differ by less than this, degrees.
+    pub smoothness_deg: f32,
+    /// Region growing does not cross patches rougher than this (surface variation, 0 flat to 1/3 isotropic).
+    pub curvature: f32,
+    /// Region growing joins patches whose mean CIELAB colours differ by less than this.
+    pub colour_tolerance: f32,
+}
+
+impl Default for SuperpointSettings {
+    fn default() -> Self {
+        Self {
+            voxel_m: 0.025,
+            seed_m: 0.15,
+            spatial_weight: 0.4,
+            normal_weight: 1.0,
+            colour_weight: 0.2,
+            smoothness_deg: 5.0,
+            curvature: 1.0,
+            colour_tolerance: 4.0,
+        }
+    }
+}
+
+/// A labelling of the cloud and what is known of each label.
+pub struct Superpoints {
+    /// Superpoint of each point.
+    pub of_point: Vec<u32>,
+    pub patches: Vec<Patch>,
+    /// Pairs `(low, high)` whose voxels touch, sorted.
+    pub adjacent: Vec<(u32, u32)>,
+}
+
+/// Mean properties of a set of points: a voxel, a superpoint, a region.
+#[derive(Debug, Clone, Copy)]
+pub struct Patch {
+    pub points: u32,
+    /// Centre of mass, metres, world frame.
+    pub center: Point3<f32>,
+    /// Unit normal, sign arbitrary.
+    pub normal: Vector3<f32>,
+    pub lab: Lab,
+}
+
+impl Patch {
+    /// One patch per label `0..count`: point-weighted means of `parts`.
+    #[must_use]
+    pub fn joined(parts: &[Self], labels: &[u32], count: usize) -> Vec<Self> {
+        let mut sums = vec![(0_u32, Vector3::zeros(), Matrix3::zeros(), Lab::zeros()); count];
+        for (part, &label) in parts.iter().zip(labels) {
+            let n = part.points as f32;
+            let sum = &mut sums[label as usize];
+            sum.0 += part.points;
+            sum.1 += part.center.coords * n;
+            // Outer products add up whatever sign each normal has.
+            sum.2 += part.normal * part.normal.transpose() * n;
+            sum.3 += part.lab * n;
+        }
+        sums.into_par_iter()
+            .map(|(points, center, spread, lab)| {
+                let n = (points as f32).max(1.0);
+                let eigen = SymmetricEigen::new(spread);
+                let normal = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
+                Self { points, center: Point3::from(center / n), normal, lab: lab / n }
+            })
+            .collect()
+    }
+}
+
+/// Cuts the cloud into superpoints.
+///
+/// # Errors
+/// [`Cancelled`].
+pub fn compute(cloud: &PointCloud, settings: &SuperpointSettings, progress: &Progress) -> Result<Superpoints, Cancelled> {
+    progress.report("superpoints", 0.0)?;
+    let voxels = VoxelCloud::new(cloud, settings.voxel_m);
+    progress.report("superpoints", 0.4)?;
+    let labels = flow::grow(&voxels, settings, &progress.part(0.4, 0.8))?;
+    progress.report("superpoints", 0.8)?;
+    let labels = region_growing::join(&voxels, labels, settings);
+    progress.report("superpoints", 0.95)?;
+    let count = labels.iter().max().map_or(0, |&l| l as usize + 1);
+    let patches = Patch::joined(&voxels.patches, &labels, count);
+    let adjacent = voxels.adjacent_labels(&labels);
+    let of_point = voxels.grid.of_point.iter().map(|&v| labels[v as usize]).collect();
+    Ok(Superpoints { of_point, patches, adjacent })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn compute_silently(cloud: &PointCloud) -> Superpoints {
+        compute(cloud, &SuperpointSettings::default(), &Progress::silent()).unwrap()
+    }
+
+    /// Two coloured squares that meet at a right angle.
+    fn corner() -> PointCloud {
+        let mut cloud = PointCloud::default();
+        for i in 0..50 {
+            for j in 0..50 {
+                let (a, b) = (i as f32 * 0.01, j as f32 * 0.01);
+                cloud.positions.push(Point3::new(a, b, 0.0));
+                cloud.colours.push([200, 40, 40]);
+                cloud.positions.push(Point3::new(a, 0.0, b + 0.01));
+                cloud.colours.push([40, 40, 200]);
+            }
+        }
+        cloud
+    }
+
+    #[test]
+    fn a_coloured_corner_is_not_straddled() {
+        let cloud = corner();
+        let superpoints = compute_silently(&cloud);
+        let mut red = vec![0_u32; superpoints.patches.len()];
+        let mut all = red.clone();
+        for (label, colour) in superpoints.of_point.iter().zip(&cloud.colours) {
+            all[*label as usize] += 1;
+            red[*label as usize] += u32::from(colour[0] > 100);
+        }
+        let pure: u32 = red.iter().zip(&all).map(|(&r, &n)| r.max(n - r)).sum();
+        let purity = pure as f32 / cloud.len() as f32;
+        assert!(purity > 0.96, "purity {purity} with {} superpoints", all.len());
+        assert!(!superpoints.adjacent.is_empty());
+    }
+
+    #[test]
+    fn odd_clouds_are_labelled_too() {
+        let same = PointCloud { positions: vec![Point3::new(1.0, 2.0, 3.0); 100], colours: vec![[9; 3]; 100] };
+        assert_eq!(compute_silently(&same).patches.len(), 1);
+        let one = PointCloud { positions: vec![Point3::origin()], colours: vec![[0; 3]] };
+        assert_eq!(compute_silently(&one).of_point, [0]);
+        let none = compute_silently(&PointCloud::default());
+        assert!(none.of_point.is_empty() && none.patches.is_empty());
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(24))]
+        /// Every point has a label, every label has points, and the counts add up.
+        #[test]
+        fn labels_are_a_partition(points in prop::collection::vec((-1.0_f32..1.0, -1.0_f32..1.0, -0.2_f32..0.2), 1..400)) {
+            let positions: Vec<_> = points.into_iter().map(|(x, y, z)| Point3::new(x, y, z)).collect();
+            let cloud = PointCloud { colours: vec![[120, 90, 60]; positions.len()], positions };
+            let superpoints = compute_silently(&cloud);
+            let mut counts = vec![0; superpoints.patches.len()];
+            superpoints.of_point.iter().for_each(|&l| counts[l as usize] += 1);
+            prop_assert!(counts.iter().zip(&superpoints.patches).all(|(&n, p)| n > 0 && n == p.points));
+            prop_assert!(superpoints.adjacent.iter().all(|&(a, b)| a < b && (b as usize) < counts.len()));
+        }
+
+        /// The same points in another number of threads give the same labels.
+        #[test]
+        fn threads_do_not_change_labels(threads in 1_usize..5) {
+            let cloud = corner();
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            prop_assert_eq!(pool.install(|| compute_silently(&cloud).of_point), compute_silently(&cloud).of_point);
+        }
+    }
+}

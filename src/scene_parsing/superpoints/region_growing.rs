@@ -1,0 +1,61 @@
+//! Region growing over supervoxels: flat neighbours of one colour become one superpoint (paper, after GrowSP).
+
+use super::{Patch, SuperpointSettings};
+use super::voxel_cloud::VoxelCloud;
+use std::collections::VecDeque;
+
+/// Joins supervoxels that continue each other; returns voxel labels `0..n`.
+///
+/// A region grows from its flattest supervoxel and compares candidates with that one, not with the last one added: a gently
+/// curved surface must not be followed around an object.
+pub(super) fn join(voxels: &VoxelCloud, labels: Vec<u32>, settings: &SuperpointSettings) -> Vec<u32> {
+    let count = labels.iter().max().map_or(0, |&l| l as usize + 1);
+    let patches = Patch::joined(&voxels.patches, &labels, count);
+    let roughness = mean_curvature(voxels, &labels, count);
+    let mut neighbours = vec![Vec::new(); count];
+    for (a, b) in voxels.adjacent_labels(&labels) {
+        neighbours[a as usize].push(b);
+        neighbours[b as usize].push(a);
+    }
+    let mut order: Vec<u32> = (0..count as u32).collect();
+    order.sort_by(|&a, &b| roughness[a as usize].total_cmp(&roughness[b as usize]).then(a.cmp(&b)));
+    let min_cos = settings.smoothness_deg.to_radians().cos();
+    let mut region = vec![u32::MAX; count];
+    let mut regions = 0;
+    for &seed in &order {
+        if region[seed as usize] != u32::MAX {
+            continue;
+        }
+        let origin = &patches[seed as usize];
+        region[seed as usize] = regions;
+        let mut queue = VecDeque::from([seed]);
+        while let Some(member) = queue.pop_front() {
+            if roughness[member as usize] > settings.curvature {
+                continue;
+            }
+            for &candidate in &neighbours[member as usize] {
+                let patch = &patches[candidate as usize];
+                let continues = region[candidate as usize] == u32::MAX
+                    && patch.normal.dot(&origin.normal).abs() >= min_cos
+                    && (patch.center - origin.center).dot(&origin.normal).abs() <= settings.voxel_m
+                    && (patch.lab - patches[member as usize].lab).norm() <= settings.colour_tolerance
+                    && (patch.lab - origin.lab).norm() <= 2.0 * settings.colour_tolerance;
+                if continues {
+                    region[candidate as usize] = regions;
+                    queue.push_back(candidate);
+                }
+            }
+        }
+        regions += 1;
+    }
+    labels.into_iter().map(|l| region[l as usize]).collect()
+}
+
+fn mean_curvature(voxels: &VoxelCloud, labels: &[u32], count: usize) -> Vec<f32> {
+    let mut sums = vec![(0.0_f32, 0.0_f32); count];
+    for (&label, &curvature) in labels.iter().zip(&voxels.curvatures) {
+        sums[label as usize].0 += curvature;
+        sums[label as usize].1 += 1.0;
+    }
+    sums.into_iter().map(|(sum, n)| sum / n.max(1.0)).collect()
+}

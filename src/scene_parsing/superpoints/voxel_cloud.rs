@@ -1,0 +1,183 @@
+//! The cloud binned into voxels that know their neighbours, colour and surface normal.
+
+use super::Patch;
+use crate::geometry::colour::{Lab, lab_of_srgb};
+use crate::geometry::union_find::UnionFind;
+use crate::geometry::voxels::VoxelGrid;
+use crate::geometry::{Matrix3, Point3, Vector3};
+use crate::scene::PointCloud;
+use nalgebra::SymmetricEigen;
+use rayon::prelude::*;
+
+/// Occupied voxels as a graph. Vectors are indexed by voxel number.
+pub(super) struct VoxelCloud {
+    pub grid: VoxelGrid,
+    /// The points of each voxel; normals by PCA over the voxel and its neighbours.
+    pub patches: Vec<Patch>,
+    /// Surface variation: smallest eigenvalue over their sum, 0 on a plane.
+    pub curvatures: Vec<f32>,
+    neighbour_starts: Vec<u32>,
+    neighbour_list: Vec<u32>,
+}
+
+/// First and second moments of the points in a voxel, relative to the voxel's own mean and then shifted as needed.
+#[derive(Clone, Copy, Default)]
+struct Moments {
+    count: f32,
+    mean: Vector3<f32>,
+    scatter: Matrix3<f32>,
+}
+
+impl Moments {
+    /// Moments of both sets together (Chan's pairwise update): no cancellation far from the origin.
+    fn joined(self, other: &Self) -> Self {
+        let count = self.count + other.count;
+        if count == 0.0 {
+            return self;
+        }
+        let delta = other.mean - self.mean;
+        Self {
+            count,
+            mean: self.mean + delta * (other.count / count),
+            scatter: self.scatter + other.scatter + delta * delta.transpose() * (self.count * other.count / count),
+        }
+    }
+}
+
+impl VoxelCloud {
+    pub fn new(cloud: &PointCloud, voxel_m: f32) -> Self {
+        let grid = VoxelGrid::new(&cloud.positions, voxel_m);
+        let (moments, labs) = accumulate(cloud, &grid);
+        let lists: Vec<Vec<u32>> = (0..grid.len() as u32).into_par_iter().map(|v| grid.neighbours(v).collect()).collect();
+        let mut neighbour_starts = Vec::with_capacity(lists.len() + 1);
+        neighbour_starts.push(0);
+        let mut total = 0;
+        for list in &lists {
+            total += list.len() as u32;
+            neighbour_starts.push(total);
+        }
+        let neighbour_list = lists.concat();
+        let surfaces: Vec<(Vector3<f32>, f32)> = (0..grid.len())
+            .into_par_iter()
+            .map(|v| {
+                let around = &neighbour_list[neighbour_starts[v] as usize..neighbour_starts[v + 1] as usize];
+                surface(&around.iter().fold(moments[v], |sum, &n| sum.joined(&moments[n as usize])))
+            })
+            .collect();
+        let curvatures = surfaces.iter().map(|(_, curvature)| *curvature).collect();
+        let patches = surfaces
+            .iter()
+            .zip(&moments)
+            .zip(&labs)
+            .map(|((&(normal, _), m), &lab)| Patch { points: m.count as u32, center: Point3::from(m.mean), normal, lab })
+            .collect();
+        Self { grid, patches, curvatures, neighbour_starts, neighbour_list }
+    }
+
+    pub fn len(&self) -> usize {
+        self.patches.len()
+    }
+
+    pub fn neighbours(&self, voxel: u32) -> &[u32] {
+        let v = voxel as usize;
+        &self.neighbour_list[self.neighbour_starts[v] as usize..self.neighbour_starts[v + 1] as usize]
+    }
+
+    /// Numbers the connected parts of equal labels `0..n` in voxel order, so that every label is one piece.
+    pub fn connected(&self, labels: &[u32]) -> Vec<u32> {
+        let mut sets = UnionFind::new(self.len());
+        for v in 0..self.len() as u32 {
+            for &n in self.neighbours(v) {
+                if n < v && labels[n as usize] == labels[v as usize] {
+                    sets.union(n, v);
+                }
+            }
+        }
+        sets.into_labels().0
+    }
+
+    /// Pairs `(low, high)` of labels that touch, sorted.
+    ///
+    /// A label that touches nothing is tied to its nearest labels within [`BRIDGE_RINGS`] voxels: holes in a scan must not
+    /// cut an object off.
+    pub fn adjacent_labels(&self, labels: &[u32]) -> Vec<(u32, u32)> {
+        let touching = |v: usize| {
+            let own = labels[v];
+            self.neighbours(v as u32).iter().map(move |&n| (own.min(labels[n as usize]), own.max(labels[n as usize]))).filter(|(a, b)| a != b)
+        };
+        let mut pairs: Vec<_> = (0..self.len()).into_par_iter().flat_map_iter(touching).collect();
+        let count = labels.iter().max().map_or(0, |&l| l as usize + 1);
+        let mut isolated = vec![true; count];
+        for &(a, b) in &pairs {
+            isolated[a as usize] = false;
+            isolated[b as usize] = false;
+        }
+        for (v, &own) in labels.iter().enumerate() {
+            if isolated[own as usize] {
+                pairs.extend(self.labels_near(v, labels).into_iter().map(|l| (own.min(l), own.max(l))));
+            }
+        }
+        pairs.par_sort_unstable();
+        pairs.dedup();
+        pairs
+    }
+
+    /// Other labels in the nearest ring of voxels that holds any.
+    fn labels_near(&self, v: usize, labels: &[u32]) -> Vec<u32> {
+        let key = self.grid.keys[v];
+        for ring in 2..=BRIDGE_RINGS {
+            let mut found: Vec<u32> = Vec::new();
+            let span = -ring..=ring;
+            for x in span.clone() {
+                for y in span.clone() {
+                    for z in span.clone() {
+                        if x.abs().max(y.abs()).max(z.abs()) == ring
+                            && let Some(n) = self.grid.get(key.offset([x, y, z]))
+                            && labels[n as usize] != labels[v]
+                        {
+                            found.push(labels[n as usize]);
+                        }
+                    }
+                }
+            }
+            if !found.is_empty() {
+                found.sort_unstable();
+                found.dedup();
+                return found;
+            }
+        }
+        Vec::new()
+    }
+}
+
+/// How many voxels a gap may be wide for an isolated patch to be tied across it.
+const BRIDGE_RINGS: i64 = 4;
+
+fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<Moments>, Vec<Lab>) {
+    let mut moments = vec![Moments::default(); grid.len()];
+    let mut labs = vec![Lab::zeros(); grid.len()];
+    let point_labs: Vec<Lab> = cloud.colours.par_iter().map(|&c| lab_of_srgb(c)).collect();
+    for ((p, lab), &v) in cloud.positions.iter().zip(&point_labs).zip(&grid.of_point) {
+        let v = v as usize;
+        let m = &mut moments[v];
+        m.count += 1.0;
+        let before = p.coords - m.mean;
+        m.mean += before / m.count;
+        m.scatter += before * (p.coords - m.mean).transpose();
+        labs[v] += lab;
+    }
+    for (lab, m) in labs.iter_mut().zip(&moments) {
+        *lab /= m.count;
+    }
+    (moments, labs)
+}
+
+fn surface(moments: &Moments) -> (Vector3<f32>, f32) {
+    let eigen = SymmetricEigen::new(moments.scatter / moments.count.max(1.0));
+    let total = eigen.eigenvalues.sum();
+    if total <= f32::EPSILON * f32::EPSILON {
+        return (Vector3::z(), 0.0);
+    }
+    let least = eigen.eigenvalues.imin();
+    (eigen.eigenvectors.column(least).into_owned(), (eigen.eigenvalues[least] / total).max(0.0))
+}
