@@ -124,7 +124,7 @@ impl ColourName {
             },
             h if h < 72.0 => match (lightness, chroma) {
                 (l, c) if c < 30.0 => if l > 62.0 { Self::Beige } else { Self::Brown },
-                (l, c) if l < 50.0 && c < 55.0 => Self::Brown,
+                (l, c) if l < 56.0 && c < 55.0 => Self::Brown,
                 _ => Self::Orange,
             },
             h if h < 105.0 => match (lightness, chroma) {
@@ -134,8 +134,8 @@ impl ColourName {
                 _ => Self::Yellow,
             },
             h if h < 190.0 => Self::Green,
-            h if h < 292.0 => if chroma < 11.0 { Self::Grey } else { Self::Blue },
-            h if h < 325.0 => Self::Purple,
+            h if h < 308.0 => if chroma < 11.0 { Self::Grey } else { Self::Blue },
+            h if h < 330.0 => Self::Purple,
             _ => if lightness > 55.0 { Self::Pink } else { Self::Purple },
         }
     }

@@ -21,7 +21,9 @@ pub mod views;
 use crate::geometry::boxes::Aabb;
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle, StageTiming, stream_frames};
+use crate::models::attributes;
 use masks::MaskSource;
+use rayon::prelude::*;
 pub use settings::ParsingSettings;
 use std::time::Instant;
 
@@ -88,6 +90,7 @@ pub fn parse(bundle: SceneBundle, masks: &dyn MaskSource, settings: &ParsingSett
         )
     })?;
     views::choose(&mut instances, sightings, &frames, &settings.views);
+    instances.par_iter_mut().for_each(|instance| instance.names = attributes::name_guesses(instance));
 
     let mut warnings = Vec::new();
     if frames.is_empty() {

@@ -1,7 +1,7 @@
 //! PLY: ascii, little and big endian; properties by name in any order; faces are skipped.
 //!
-//! A binary little-endian file whose first element is the vertices (what scanners write) takes a fast path that reads rows
-//! in blocks; everything else goes through the `ply-rs-bw` parser.
+//! The header, and files whose vertices hold lists or come after other elements, go through the `ply-rs-bw` parser. What
+//! scanners write, scalar vertices first, is read row by row here: it is faster, and ascii may hold `nan`.
 
 use crate::geometry::Point3;
 use crate::ingest::IngestError;
@@ -44,22 +44,16 @@ pub fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Loaded, IngestError> {
     let has_colour = ["red", "green", "blue"].iter().all(|c| vertex.properties.contains_key(*c));
     let vertices_first = header.elements.values().next().is_some_and(|e| e.name == "vertex");
     let mut loaded = Loaded { cloud: PointCloud::default(), dropped: 0, has_colour };
-    if header.encoding == Encoding::BinaryLittleEndian
-        && vertices_first
-        && let Some(row) = Row::of(vertex)
-    {
-        read_rows(reader.into_inner(), vertex.count, &row, &mut loaded).map_err(|e| malformed(format!("truncated: {e}")))?;
+    if vertices_first && let Some(row) = Row::of(vertex) {
+        row.read(reader.into_inner(), vertex.count, &header.encoding, &mut loaded).map_err(malformed)?;
     } else {
-        let mut found = false;
         for element in header.elements.values() {
             let rows = parser.read_payload_for_element(&mut reader, element, &header).map_err(|e| malformed(e.to_string()))?;
             if element.name == "vertex" {
                 rows.iter().for_each(|v| loaded.push(v));
-                found = true;
                 break;
             }
         }
-        debug_assert!(found, "the header has a vertex element");
     }
     if loaded.cloud.is_empty() {
         return Err(IngestError::EmptyCloud { file: file.to_owned() });
@@ -146,20 +140,23 @@ impl Vertex {
     }
 }
 
-/// Byte layout of a vertex row made of scalars only.
+/// Layout of a vertex row made of scalars only.
 struct Row {
     bytes: usize,
-    fields: Vec<(String, usize, ScalarType)>,
+    columns: usize,
+    /// The properties that matter: name, column, offset in bytes, type.
+    fields: Vec<(String, usize, usize, ScalarType)>,
 }
 
 impl Row {
     fn of(vertex: &ElementDef) -> Option<Self> {
-        let mut row = Self { bytes: 0, fields: Vec::new() };
+        let mut row = Self { bytes: 0, columns: 0, fields: Vec::new() };
         for property in vertex.properties.values() {
             let PropertyType::Scalar(scalar) = &property.data_type else { return None };
             if ["x", "y", "z", "red", "green", "blue"].contains(&property.name.as_str()) {
-                row.fields.push((property.name.clone(), row.bytes, scalar.clone()));
+                row.fields.push((property.name.clone(), row.columns, row.bytes, scalar.clone()));
             }
+            row.columns += 1;
             row.bytes += match scalar {
                 ScalarType::Char | ScalarType::UChar => 1,
                 ScalarType::Short | ScalarType::UShort => 2,
@@ -169,32 +166,59 @@ impl Row {
         }
         Some(row)
     }
-}
 
-fn read_rows(mut source: impl BufRead, count: usize, row: &Row, loaded: &mut Loaded) -> std::io::Result<()> {
-    const BLOCK: usize = 4096;
-    let mut block = vec![0; row.bytes * BLOCK];
-    let mut left = count;
-    while left > 0 {
-        let rows = left.min(BLOCK);
-        let bytes = &mut block[..rows * row.bytes];
-        source.read_exact(bytes)?;
-        for row_bytes in bytes.chunks_exact(row.bytes) {
+    fn read(&self, source: impl BufRead, count: usize, encoding: &Encoding, loaded: &mut Loaded) -> Result<(), String> {
+        match encoding {
+            Encoding::Ascii => self.read_ascii(source, count, loaded),
+            Encoding::BinaryLittleEndian => self.read_binary(source, count, little_endian, loaded),
+            Encoding::BinaryBigEndian => self.read_binary(source, count, big_endian, loaded),
+        }
+    }
+
+    fn read_ascii(&self, source: impl BufRead, count: usize, loaded: &mut Loaded) -> Result<(), String> {
+        let mut lines = source.lines();
+        for row in 0..count {
+            let line = lines.next().ok_or_else(|| format!("truncated: {row} of {count} vertices"))?.map_err(|e| format!("vertex {row}: {e}"))?;
+            let words: Vec<&str> = line.split_ascii_whitespace().collect();
+            if words.len() < self.columns {
+                return Err(format!("vertex {row} has {} values, its header announces {}", words.len(), self.columns));
+            }
             let mut vertex = Vertex::new();
-            for (name, at, scalar) in &row.fields {
-                vertex.set(name, little_endian(&row_bytes[*at..], scalar), ColourScale::of_type(scalar));
+            for (name, column, _, scalar) in &self.fields {
+                let value = words[*column].parse().map_err(|_| format!("vertex {row}: {:?} is not a number", words[*column]))?;
+                vertex.set(name, value, ColourScale::of_type(scalar));
             }
             loaded.push(&vertex);
         }
-        left -= rows;
+        Ok(())
     }
-    Ok(())
+
+    fn read_binary(&self, mut source: impl BufRead, count: usize, number: fn(&[u8], &ScalarType) -> f64, loaded: &mut Loaded) -> Result<(), String> {
+        const BLOCK: usize = 4096;
+        let mut block = vec![0; self.bytes * BLOCK];
+        let mut left = count;
+        while left > 0 {
+            let rows = left.min(BLOCK);
+            let bytes = &mut block[..rows * self.bytes];
+            source.read_exact(bytes).map_err(|e| format!("truncated: {e}"))?;
+            for row in bytes.chunks_exact(self.bytes) {
+                let mut vertex = Vertex::new();
+                for (name, _, offset, scalar) in &self.fields {
+                    vertex.set(name, number(&row[*offset..], scalar), ColourScale::of_type(scalar));
+                }
+                loaded.push(&vertex);
+            }
+            left -= rows;
+        }
+        Ok(())
+    }
+}
+
+fn first<const N: usize>(bytes: &[u8]) -> [u8; N] {
+    std::array::from_fn(|i| bytes[i])
 }
 
 fn little_endian(bytes: &[u8], scalar: &ScalarType) -> f64 {
-    fn first<const N: usize>(bytes: &[u8]) -> [u8; N] {
-        std::array::from_fn(|i| bytes[i])
-    }
     match scalar {
         ScalarType::Char => f64::from(i8::from_le_bytes(first(bytes))),
         ScalarType::UChar => f64::from(bytes[0]),
@@ -204,6 +228,19 @@ fn little_endian(bytes: &[u8], scalar: &ScalarType) -> f64 {
         ScalarType::UInt => f64::from(u32::from_le_bytes(first(bytes))),
         ScalarType::Float => f64::from(f32::from_le_bytes(first(bytes))),
         ScalarType::Double => f64::from_le_bytes(first(bytes)),
+    }
+}
+
+fn big_endian(bytes: &[u8], scalar: &ScalarType) -> f64 {
+    match scalar {
+        ScalarType::Char => f64::from(i8::from_be_bytes(first(bytes))),
+        ScalarType::UChar => f64::from(bytes[0]),
+        ScalarType::Short => f64::from(i16::from_be_bytes(first(bytes))),
+        ScalarType::UShort => f64::from(u16::from_be_bytes(first(bytes))),
+        ScalarType::Int => f64::from(i32::from_be_bytes(first(bytes))),
+        ScalarType::UInt => f64::from(u32::from_be_bytes(first(bytes))),
+        ScalarType::Float => f64::from(f32::from_be_bytes(first(bytes))),
+        ScalarType::Double => f64::from_be_bytes(first(bytes)),
     }
 }
 
@@ -272,6 +309,7 @@ mod tests {
             (b"hello".to_vec(), "not a PLY file"),
             (header("binary_little_endian", 1_000_000_000, XYZ_RGB), "announces 1000000000 vertices"),
             ([header("binary_little_endian", 3, XYZ_RGB), vec![0; 20]].concat(), "truncated"),
+            ([header("ascii", 2, XYZ_RGB), b"1 2 3 4 5 6\n".to_vec()].concat(), "1 of 2 vertices"),
             ([header("ascii", 1, "property float x\nproperty float y\n"), b"1 2\n".to_vec()].concat(), "no property z"),
             (header("ascii", 0, XYZ_RGB), "no points"),
         ] {

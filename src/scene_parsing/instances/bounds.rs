@@ -9,7 +9,8 @@ use crate::geometry::{Point2, Point3, Vector3};
 /// Axis-aligned and oriented box of the points that have company, with the outermost share trimmed off each axis.
 pub(super) fn robust(positions: &[Point3<f32>], settings: &InstanceSettings) -> (Aabb, OrientedBox) {
     let mut kept = in_company(positions, settings);
-    if kept.len() < positions.len() / 2 {
+    // A sparse thing is all strays: then every point counts.
+    if kept.len() * 2 < positions.len() {
         kept = positions.to_vec();
     }
     let bound = |q: f32| Point3::from(Vector3::from_fn(|axis, _| quantile(&mut kept.iter().map(|p| p[axis]).collect::<Vec<_>>(), q).unwrap_or(0.0)));

@@ -1,0 +1,60 @@
+//! Stage 2, Contextual Precision Grounding: instances and a question to six fields and a box (paper, METHOD sections 2-4).
+//!
+//! `query -> shortlist -> reasoner -> answer`. No model is needed: the built-in reasoner scores names, attributes and
+//! relations by geometry. The language never changes the geometry.
+
+mod answer;
+pub mod direction;
+mod fit;
+pub mod query;
+mod reasoner;
+pub mod relations;
+mod shortlist;
+
+pub use answer::{Alternative, Candidate, Grounding, ParsedQuerySummary, SixFields, Status, Timings};
+use direction::{DirectionConvention, Directions, Observer};
+use std::time::Instant;
+
+use crate::geometry::boxes::Aabb;
+use crate::scene::Instance;
+
+/// A parsed scene as stage 2 needs it.
+#[derive(Debug, Clone, Copy)]
+pub struct SceneView<'a> {
+    /// In order of id.
+    pub instances: &'a [Instance],
+    pub extent: Aabb,
+}
+
+/// A question.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Question {
+    pub query: String,
+    /// How many candidates to keep (paper: 5 for ScanRefer, 10 for EmbodiedScan).
+    pub top_k: usize,
+    pub convention: DirectionConvention,
+    pub observer: Option<Observer>,
+}
+
+/// The best candidates for a question by names and attributes alone (stage 1 of the question, paper: top-k by the encoder).
+#[must_use]
+pub fn shortlist(scene: SceneView, query: &str, top_k: usize) -> (query::ParsedQuery, Vec<Candidate>) {
+    let parsed = query::parse(query);
+    let candidates = shortlist::rank(scene, &fit::phrase_fits(scene, &parsed.target), top_k);
+    (parsed, candidates)
+}
+
+/// Answers a question.
+#[must_use]
+pub fn ground(scene: SceneView, question: &Question) -> Grounding {
+    let start = Instant::now();
+    let parsed = query::parse(&question.query);
+    let parse_query = start.elapsed();
+    let fits = fit::phrase_fits(scene, &parsed.target);
+    let shortlisted = start.elapsed();
+    let directions = question.observer.as_ref().map_or_else(|| question.convention.into(), Directions::of_observer);
+    let verdict = reasoner::builtin::decide(scene, &parsed, &fits, &directions);
+    let total = start.elapsed();
+    let timings_ms = Timings::from_marks(parse_query, shortlisted, total);
+    answer::assemble(scene, question, &parsed, verdict, timings_ms)
+}

@@ -1,0 +1,19 @@
+//! Candidates by score: top-k, ties by id.
+
+use super::SceneView;
+use super::answer::Candidate;
+
+/// The `top_k` best instances by `scores` (by index); instances that score nothing are no candidates.
+pub(super) fn rank(scene: SceneView, scores: &[f32], top_k: usize) -> Vec<Candidate> {
+    let mut order: Vec<usize> = (0..scores.len()).filter(|&i| scores[i] > 0.0).collect();
+    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+    order
+        .into_iter()
+        .take(top_k)
+        .enumerate()
+        .map(|(rank, i)| {
+            let instance = &scene.instances[i];
+            Candidate { id: instance.id, rank: rank as u32 + 1, score: scores[i], aabb: instance.aabb }
+        })
+        .collect()
+}

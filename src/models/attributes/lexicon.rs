@@ -1,0 +1,211 @@
+//! The lexicon of indoor nouns, read from `lexicon.tsv` at first use.
+
+use std::collections::HashMap;
+use std::sync::LazyLock;
+
+/// A closed range in metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Range {
+    pub low: f32,
+    pub high: f32,
+}
+
+/// Sizes below this are all alike: thinner than a scan resolves.
+const RESOLUTION_M: f32 = 0.03;
+
+impl Range {
+    /// How far `value` lies outside, in natural logarithms of the ratio; 0 inside.
+    #[must_use]
+    pub fn misfit_log(&self, value: f32) -> f32 {
+        let [low, high, value] = [self.low, self.high, value].map(|v| v.max(RESOLUTION_M));
+        (low / value).ln().max((value / high).ln()).max(0.0)
+    }
+
+    /// How far `value` lies outside, metres; 0 inside.
+    #[must_use]
+    pub fn misfit(&self, value: f32) -> f32 {
+        (self.low - value).max(value - self.high).max(0.0)
+    }
+
+    fn spread_log(&self) -> f32 {
+        (self.high.max(RESOLUTION_M) / self.low.max(RESOLUTION_M)).ln()
+    }
+}
+
+/// Where a thing rests.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    Floor,
+    Surface,
+    Wall,
+    Unknown,
+}
+
+/// One entry of the lexicon.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Noun {
+    pub name: String,
+    pub synonyms: Vec<String>,
+    /// Broader words that also mean this thing.
+    pub kinds: Vec<String>,
+    pub long: Range,
+    pub short: Range,
+    pub height: Range,
+    pub base: Range,
+    places: Vec<Place>,
+}
+
+impl Noun {
+    #[must_use]
+    pub fn stands_on(&self, place: Place) -> bool {
+        place == Place::Unknown || self.places.contains(&place)
+    }
+
+    /// Doors, windows and pictures are often cut as one plane with their wall.
+    #[must_use]
+    pub fn may_be_part_of_wall(&self) -> bool {
+        self.places.contains(&Place::Wall) && self.short.low <= RESOLUTION_M
+    }
+
+    /// `0.5..=1`: how much the ranges narrow a thing down.
+    #[must_use]
+    pub fn specificity(&self) -> f32 {
+        let spread = self.long.spread_log() + self.short.spread_log() + self.height.spread_log();
+        0.5 + 0.5 / (1.0 + 0.3 * spread)
+    }
+}
+
+/// All nouns and every word that leads to them.
+pub struct Lexicon {
+    nouns: Vec<Noun>,
+    by_word: HashMap<String, Vec<usize>>,
+    longest_words: usize,
+}
+
+impl Lexicon {
+    #[must_use]
+    pub fn get() -> &'static Self {
+        static LEXICON: LazyLock<Lexicon> = LazyLock::new(|| Lexicon::read(include_str!("lexicon.tsv")));
+        &LEXICON
+    }
+
+    #[must_use]
+    pub fn nouns(&self) -> &[Noun] {
+        &self.nouns
+    }
+
+    /// The noun a word names directly or as a synonym; plurals are understood.
+    #[must_use]
+    pub fn find(&self, word: &str) -> Option<&Noun> {
+        self.find_all(word).into_iter().next()
+    }
+
+    /// Every noun a word may mean, the direct one first: "chair" means chairs, office chairs and armchairs.
+    #[must_use]
+    pub fn find_all(&self, word: &str) -> Vec<&Noun> {
+        singulars(word).iter().find_map(|w| self.by_word.get(w)).map_or_else(Vec::new, |ids| ids.iter().map(|&i| &self.nouns[i]).collect())
+    }
+
+    /// How many words the longest entry has.
+    #[must_use]
+    pub fn longest_words(&self) -> usize {
+        self.longest_words
+    }
+
+    fn read(text: &str) -> Self {
+        let nouns: Vec<Noun> = text.lines().filter(|line| !line.starts_with('#') && !line.trim().is_empty()).filter_map(read_line).collect();
+        let mut by_word: HashMap<String, Vec<usize>> = HashMap::new();
+        // Names and synonyms first, kinds after: the direct meaning leads.
+        for (i, noun) in nouns.iter().enumerate() {
+            for word in std::iter::once(&noun.name).chain(&noun.synonyms) {
+                by_word.entry(word.clone()).or_default().push(i);
+            }
+        }
+        for (i, noun) in nouns.iter().enumerate() {
+            for word in &noun.kinds {
+                let meanings = by_word.entry(word.clone()).or_default();
+                if !meanings.contains(&i) {
+                    meanings.push(i);
+                }
+            }
+        }
+        let longest_words = by_word.keys().map(|w| w.split(' ').count()).max().unwrap_or(1);
+        Self { nouns, by_word, longest_words }
+    }
+}
+
+fn read_line(line: &str) -> Option<Noun> {
+    let columns: Vec<&str> = line.split('\t').collect();
+    let [name, synonyms, kinds, long, short, height, base, support] = columns[..] else { return None };
+    let words = |list: &str| list.split(',').map(str::trim).filter(|w| !w.is_empty()).map(str::to_owned).collect::<Vec<_>>();
+    let places = words(support)
+        .iter()
+        .map(|place| match place.as_str() {
+            "floor" => Some(Place::Floor),
+            "surface" => Some(Place::Surface),
+            "wall" => Some(Place::Wall),
+            _ => None,
+        })
+        .collect::<Option<_>>()?;
+    Some(Noun {
+        name: name.to_owned(),
+        synonyms: words(synonyms),
+        kinds: words(kinds),
+        long: range(long)?,
+        short: range(short)?,
+        height: range(height)?,
+        base: range(base)?,
+        places,
+    })
+}
+
+/// `low-high`; the low end may be negative.
+fn range(text: &str) -> Option<Range> {
+    let dash = text.char_indices().skip(1).find(|(_, c)| *c == '-')?.0;
+    let (low, high) = (text[..dash].parse().ok()?, text[dash + 1..].parse().ok()?);
+    (low <= high).then_some(Range { low, high })
+}
+
+/// The word itself, then what it may be the plural of.
+fn singulars(word: &str) -> Vec<String> {
+    let mut forms = vec![word.to_owned()];
+    if let Some(stem) = word.strip_suffix("ies") {
+        forms.push(format!("{stem}y"));
+    }
+    if let Some(stem) = word.strip_suffix("ves") {
+        forms.push(format!("{stem}f"));
+    }
+    if let Some(stem) = word.strip_suffix("es") {
+        forms.push(stem.to_owned());
+    }
+    if let Some(stem) = word.strip_suffix('s') {
+        forms.push(stem.to_owned());
+    }
+    forms
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_line_of_the_lexicon_is_an_entry() {
+        let lines = include_str!("lexicon.tsv").lines().filter(|l| !l.starts_with('#') && !l.trim().is_empty());
+        for line in lines {
+            let noun = read_line(line).unwrap_or_else(|| panic!("not an entry: {line}"));
+            assert!(noun.long.high >= noun.short.low, "{line}");
+        }
+    }
+
+    #[test]
+    fn synonyms_plurals_and_kinds_lead_to_nouns() {
+        let lexicon = Lexicon::get();
+        assert_eq!(lexicon.find("couch").unwrap().name, "sofa");
+        assert_eq!(lexicon.find("bookshelves").map(|n| n.name.as_str()), Some("bookcase"));
+        assert_eq!(lexicon.find("boxes").unwrap().name, "box");
+        let chairs: Vec<_> = lexicon.find_all("chairs").iter().map(|n| n.name.as_str()).collect();
+        assert_eq!(chairs[0], "chair");
+        assert!(chairs.contains(&"office chair") && chairs.contains(&"armchair"));
+        assert!(lexicon.find("quaternion").is_none());
+    }
+}

@@ -1,0 +1,135 @@
+//! The built-in encoder: what things usually measure, instead of what they look like.
+//!
+//! Without a model, an instance is described by size, height, support and colour names, and a noun by the typical sizes in
+//! `lexicon.tsv`. That tells a sofa from a mug and a rug from a door, not a box from a crate: scores are honest fits, and
+//! every answer names this encoder.
+
+mod lexicon;
+
+use crate::geometry::colour::ColourName;
+use crate::scene::{Instance, NameGuess, Structure, Support};
+pub use lexicon::{Lexicon, Noun, Place, Range};
+
+/// Name and version, recorded with parses and answers.
+pub const NAME: &str = "attributes-1";
+
+/// How many names an instance keeps.
+const KEPT_NAMES: usize = 5;
+/// Below this a name is not worth telling.
+const MIN_NAME_SCORE: f32 = 0.3;
+/// Width of the fall-off outside a range, in natural logarithms of the size: segmentation is never exact.
+const SIZE_TOLERANCE: f32 = 0.2;
+/// The same for the height of the underside, metres.
+const BASE_TOLERANCE_M: f32 = 0.12;
+/// Factor for a support the noun is not known for.
+const ODD_SUPPORT: f32 = 0.6;
+
+/// How well a noun fits an instance, `0..=1`: one when every measure lies in its usual range.
+#[must_use]
+pub fn noun_fit(noun: &Noun, instance: &Instance) -> f32 {
+    if instance.structure.is_some_and(|s| s != Structure::Wall || !noun.may_be_part_of_wall()) {
+        return 0.0;
+    }
+    let (long, short) = sides(instance);
+    let height = instance.aabb.size.z;
+    let misfit = [noun.long, noun.short, noun.height]
+        .iter()
+        .zip([long, short, height])
+        .map(|(range, value)| range.misfit_log(value) / SIZE_TOLERANCE)
+        .chain([noun.base.misfit(instance.height_above_floor_m) / BASE_TOLERANCE_M])
+        .map(|m| m * m)
+        .sum::<f32>();
+    let support = if noun.stands_on(place_of(instance)) { 1.0 } else { ODD_SUPPORT };
+    (-0.5 * misfit).exp() * support
+}
+
+/// How well a colour word describes an instance, `0..=1`.
+#[must_use]
+pub fn colour_fit(colour: ColourName, instance: &Instance) -> f32 {
+    instance.colours.describes(colour)
+}
+
+/// The best names for an instance, without having heard a question; empty for structure and for shapes nothing fits.
+///
+/// Of nouns that fit alike the one with the narrower ranges comes first: it says more.
+#[must_use]
+pub fn name_guesses(instance: &Instance) -> Vec<NameGuess> {
+    if instance.structure.is_some() {
+        return Vec::new();
+    }
+    let mut scored: Vec<(f32, &Noun)> = Lexicon::get()
+        .nouns()
+        .iter()
+        .map(|noun| (noun_fit(noun, instance), noun))
+        .filter(|(fit, _)| *fit >= MIN_NAME_SCORE)
+        .collect();
+    scored.sort_by(|a, b| (b.0 * b.1.specificity()).total_cmp(&(a.0 * a.1.specificity())).then(a.1.name.cmp(&b.1.name)));
+    scored.into_iter().take(KEPT_NAMES).map(|(score, noun)| NameGuess { name: noun.name.clone(), score }).collect()
+}
+
+/// Long and short side of the footprint, metres.
+#[must_use]
+pub fn sides(instance: &Instance) -> (f32, f32) {
+    let size = instance.oriented_box.size;
+    (size.x.max(size.y), size.x.min(size.y))
+}
+
+fn place_of(instance: &Instance) -> Place {
+    match instance.support {
+        Support::Floor => Place::Floor,
+        Support::Instance { .. } => Place::Surface,
+        Support::Wall { .. } => Place::Wall,
+        Support::Nothing => Place::Unknown,
+    }
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::geometry::boxes::{Aabb, OrientedBox};
+    use crate::geometry::colour::ColourHistogram;
+    use crate::geometry::{Point3, Vector3};
+    use crate::scene::InstanceId;
+
+    /// An instance with this size (long, short, height) standing at `base`.
+    pub fn thing(id: u32, center_xy: [f32; 2], size: [f32; 3], base: f32, support: Support, rgb: [u8; 3]) -> Instance {
+        let aabb = Aabb { center: Point3::new(center_xy[0], center_xy[1], base + size[2] / 2.0), size: Vector3::from(size) };
+        Instance {
+            id: InstanceId(id),
+            aabb,
+            raw_box: aabb,
+            oriented_box: OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 },
+            point_count: 1000,
+            mean_rgb: rgb,
+            colours: ColourHistogram::of([rgb]),
+            planarity: 0.3,
+            structure: None,
+            support,
+            height_above_floor_m: base,
+            views: Vec::new(),
+            names: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn typical_things_get_their_names() {
+        let on_table = Support::Instance { id: InstanceId(9) };
+        for (size, base, support, expected) in [
+            ([2.1, 0.9, 0.8], 0.0, Support::Floor, "sofa"),
+            ([0.11, 0.08, 0.1], 0.75, on_table, "mug"),
+            ([2.4, 1.6, 0.01], 0.0, Support::Floor, "rug"),
+            ([0.8, 0.3, 2.0], 0.0, Support::Floor, "bookcase"),
+            ([0.85, 0.05, 2.03], 0.0, Support::Floor, "door"),
+        ] {
+            let guesses = name_guesses(&thing(1, [0.0, 0.0], size, base, support, [120; 3]));
+            assert!(guesses.iter().take(3).any(|g| g.name == expected), "{size:?}: {guesses:?}");
+        }
+    }
+
+    #[test]
+    fn a_sofa_is_no_mug() {
+        let sofa = thing(1, [0.0, 0.0], [2.1, 0.9, 0.8], 0.0, Support::Floor, [120; 3]);
+        let fit = |word| noun_fit(Lexicon::get().find(word).unwrap(), &sofa);
+        assert!(fit("sofa") > 0.95 && fit("couch") > 0.95 && fit("mug") < 0.01 && fit("chair") < 0.05);
+    }
+}

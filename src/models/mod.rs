@@ -1,0 +1,3 @@
+//! Encoders: how instances and words are compared. Built in: [`attributes`].
+
+pub mod attributes;
