@@ -13,6 +13,7 @@ use crate::grounding::relations::{self, Room};
 use crate::grounding::{SceneView, Status};
 use crate::models::attributes;
 use crate::scene::{Instance, InstanceId};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// Below this, the best instance does not fit the target phrase.
@@ -181,8 +182,8 @@ fn ranked_by_distance(scene: SceneView, kind: RelationKind, fits: &[f32], anchor
         if kind == RelationKind::Farthest {
             order.reverse();
         }
-        for (place, &t) in order.iter().enumerate() {
-            let score = anchor_fit.sqrt() * NEXT_BEST.powi(place as i32);
+        for (t, place) in soft_places(&order, fits) {
+            let score = anchor_fit.sqrt() * NEXT_BEST.powf(place);
             bonds[t] = better(bonds[t], Bond { score, anchor: Some(anchor.id) });
         }
     }
@@ -205,10 +206,24 @@ fn apply_superlative(scene: SceneView, superlative: Superlative, fits: &[f32], d
     };
     let mut order: Vec<usize> = plausible(fits).into_iter().map(|(t, _)| t).collect();
     order.sort_by(|&a, &b| measure(&scene.instances[b]).total_cmp(&measure(&scene.instances[a])).then(a.cmp(&b)));
-    let asked = superlative.rank.max(1) as usize - 1;
-    scores.iter_mut().enumerate().for_each(|(t, score)| {
-        *score *= order.iter().position(|&o| o == t).map_or(0.0, |place| NEXT_BEST.powi(place.abs_diff(asked) as i32));
-    });
+    let asked = superlative.rank.max(1) as f32 - 1.0;
+    let places: BTreeMap<usize, f32> = soft_places(&order, fits).into_iter().collect();
+    for (t, score) in scores.iter_mut().enumerate() {
+        *score *= places.get(&t).map_or(0.0, |place| NEXT_BEST.powf((place - asked).abs()));
+    }
+}
+
+/// Place of each instance in `order`, from 0, where those ahead count by how surely they are what the question names: a table
+/// that might be a sofa hardly takes the place of one.
+fn soft_places(order: &[usize], fits: &[f32]) -> Vec<(usize, f32)> {
+    let best = fits.iter().copied().fold(f32::EPSILON, f32::max);
+    let mut ahead = 0.0;
+    let place = |&t: &usize| {
+        let place = ahead;
+        ahead += (fits[t] / best).powi(BELIEF_POWER);
+        (t, place)
+    };
+    order.iter().map(place).collect()
 }
 
 fn beliefs(scores: &[f32]) -> Vec<f32> {
