@@ -36,7 +36,7 @@ pub fn load(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> Resu
     let frames: Vec<_> =
         in_file_world.into_iter().map(|f| FrameRef { camera_to_world: to_z_up * f.camera_to_world, ..f }).collect();
 
-    let own_cloud = scan.cloud.as_ref().map(|file| read_cloud(scan, file, &to_z_up, &mut warnings)).transpose()?;
+    let own_cloud = scan.cloud.as_ref().map(|file| own_cloud_of(scan, file, &to_z_up, &mut warnings)).transpose()?;
     progress.report("check_reprojection", 0.1)?;
     let reprojection_agreement = reprojection::check(scan, own_cloud.as_ref(), &frames, &mut warnings)?;
     let cloud_points = own_cloud.as_ref().map(|cloud| cloud.len() as u64);
@@ -62,7 +62,15 @@ pub fn load(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> Resu
     Ok(SceneBundle { cloud, frames, report })
 }
 
-fn read_cloud(scan: &Scan, file: &Utf8Path, to_z_up: &Isometry3<f32>, warnings: &mut Vec<String>) -> Result<PointCloud, IngestError> {
+/// Reads a cloud this service wrote: canonical already.
+///
+/// # Errors
+/// [`IngestError`] naming the file.
+pub fn read_cloud(file: &Utf8Path) -> Result<PointCloud, IngestError> {
+    Ok(clouds::ply::read(file.parent().unwrap_or(file), Utf8Path::new(file.file_name().unwrap_or_default()))?.cloud)
+}
+
+fn own_cloud_of(scan: &Scan, file: &Utf8Path, to_z_up: &Isometry3<f32>, warnings: &mut Vec<String>) -> Result<PointCloud, IngestError> {
     let clouds::ply::Loaded { mut cloud, dropped, has_colour } = clouds::ply::read(&scan.root, file)?;
     if dropped > 0 {
         warnings.push(format!("{file}: {dropped} points dropped, their coordinates are not finite"));

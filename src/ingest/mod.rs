@@ -16,4 +16,4 @@ mod validate;
 pub use error::IngestError;
 pub use formats::{Scan, open};
 pub use fusion::FusionSettings;
-pub use load::{ImportSettings, load};
+pub use load::{ImportSettings, load, read_cloud};

@@ -1,0 +1,108 @@
+//! Everything that can go wrong in a use case, without HTTP. `http/problem.rs` maps it once.
+
+use crate::ingest::IngestError;
+use crate::jobs::JobsError;
+use crate::scene::InstanceId;
+use crate::scene_parsing::ParseError;
+use crate::store::StoreError;
+use std::io;
+
+#[derive(Debug, thiserror::Error)]
+pub enum Error {
+    #[error(transparent)]
+    Ingest(#[from] IngestError),
+    #[error(transparent)]
+    Parse(#[from] ParseError),
+    #[error(transparent)]
+    Jobs(#[from] JobsError),
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    #[error("there is no scene {id}")]
+    SceneNotFound { id: String },
+    #[error("scene {scene_id} has no instance {id}")]
+    InstanceNotFound { scene_id: String, id: InstanceId },
+    #[error("instance {id} has {views} views, numbered from 0; there is no view {view}")]
+    ViewNotFound { id: InstanceId, view: u32, views: usize },
+    #[error("there is no answer {id}")]
+    AnswerNotFound { id: String },
+    #[error("scene {id} has not been parsed yet")]
+    SceneNotReady { id: String, job_id: Option<String> },
+    #[error("{pointer}: {detail}")]
+    Invalid { pointer: String, detail: String },
+    #[error("no vision-language model is configured; use reasoner \"auto\" or \"builtin\"")]
+    VlmUnavailable,
+    #[error("the question took longer than {seconds} s")]
+    QuestionTimedOut { seconds: f32 },
+    #[error("too many questions at once")]
+    Overloaded,
+    #[error("the upload holds more than {max_bytes} bytes")]
+    UploadTooLarge { max_bytes: u64 },
+    #[error("the upload broke off after {received} bytes")]
+    UploadInterrupted { received: u64 },
+    #[error("a file could not be read or written")]
+    Io(#[from] io::Error),
+    #[error("background work stopped unexpectedly")]
+    Background(#[from] tokio::task::JoinError),
+}
+
+impl From<serde_json::Error> for Error {
+    fn from(error: serde_json::Error) -> Self {
+        Self::Store(StoreError::Record(error))
+    }
+}
+
+impl Error {
+    pub(crate) fn invalid(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
+        Self::Invalid { pointer: pointer.into(), detail: detail.into() }
+    }
+
+    /// Stable code of this error, part of the API.
+    #[must_use]
+    pub fn code(&self) -> &'static str {
+        use crate::scene::FrameError;
+        match self {
+            Self::Ingest(error) => match error {
+                IngestError::ArchiveUnreadable { .. } => "archive_unreadable",
+                IngestError::UnsafeEntry { .. } => "archive_entry_unsafe",
+                IngestError::ArchiveTooLarge { .. } => "archive_too_large",
+                IngestError::UnknownLayout { .. } => "unknown_layout",
+                IngestError::Malformed { .. } => "scene_file_malformed",
+                IngestError::MissingFile { .. } => "scene_file_missing",
+                IngestError::MissingIntrinsics { .. } => "intrinsics_missing",
+                IngestError::BadIntrinsics { .. } => "intrinsics_invalid",
+                IngestError::FrameCountMismatch { .. } => "frame_count_mismatch",
+                IngestError::BadPose { .. } => "pose_invalid",
+                IngestError::EmptyCloud { .. } => "cloud_empty",
+                IngestError::EmptyScene => "scene_empty",
+                IngestError::NoUsableFrames { .. } => "no_usable_frames",
+                IngestError::Frame(_) => "frame_unreadable",
+                IngestError::ConventionMismatch { .. } => "convention_mismatch",
+                IngestError::Io { .. } => "storage_failed",
+                IngestError::Cancelled(_) => "cancelled",
+            },
+            Self::Parse(error) => match error {
+                ParseError::Frame(FrameError::Unreadable { .. } | FrameError::Undecodable { .. } | FrameError::WrongSize { .. }) => "frame_unreadable",
+                ParseError::NoPoints => "cloud_empty",
+                ParseError::Cancelled(_) => "cancelled",
+            },
+            Self::Jobs(error) => match error {
+                JobsError::NotFound { .. } => "job_not_found",
+                JobsError::QueueFull { .. } => "queue_full",
+                JobsError::Store(_) => "storage_failed",
+            },
+            Self::SceneNotFound { .. } => "scene_not_found",
+            Self::InstanceNotFound { .. } => "instance_not_found",
+            Self::ViewNotFound { .. } => "view_not_found",
+            Self::AnswerNotFound { .. } => "answer_not_found",
+            Self::SceneNotReady { .. } => "scene_not_ready",
+            Self::Invalid { .. } => "invalid_request",
+            Self::VlmUnavailable => "vlm_unavailable",
+            Self::QuestionTimedOut { .. } => "question_timed_out",
+            Self::Overloaded => "overloaded",
+            Self::UploadTooLarge { .. } => "upload_too_large",
+            Self::UploadInterrupted { .. } => "upload_interrupted",
+            Self::Store(_) | Self::Io(_) => "storage_failed",
+            Self::Background(_) => "internal",
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! Use cases: the only place where pipelines meet storage and jobs. No HTTP here.
+
+mod answering;
+mod cache;
+mod instances;
+mod parsing;
+mod pictures;
+mod scenes;
+mod uploads;
+
+pub use answering::{Answer, Call, Frame, GroundRequest, Include, Models, ReasonerChoice, Ablation, ShortlistRequest, Shortlisted, Trace, Usage};
+pub use instances::{InstanceList, InstanceView, ViewPicture};
+pub use parsing::{PARSE_JOB, ParseModels, ParsePreset, ParseSettings};
+pub use scenes::{Scene, SceneCounts, SceneList, SceneStatus};
+pub use uploads::NewScene;
+
+use crate::ingest::archive::UnpackLimits;
+use crate::jobs::Jobs;
+use crate::store::Store;
+use cache::ParseCache;
+use std::sync::Arc;
+use tokio::sync::{Mutex, Semaphore};
+
+/// What uploads and questions may take.
+#[derive(Debug, Clone, Copy)]
+pub struct Limits {
+    pub max_upload_bytes: u64,
+    pub unpack: UnpackLimits,
+    /// Questions being answered at once; more wait their turn, shortly.
+    pub max_concurrent_questions: usize,
+}
+
+/// The use cases over one store. Cheap to clone.
+#[derive(Clone)]
+pub struct Service {
+    store: Store,
+    pub jobs: Jobs,
+    limits: Limits,
+    cache: Arc<ParseCache>,
+    questions: Arc<Semaphore>,
+    /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
+    content_references: Arc<Mutex<()>>,
+}
+
+impl Service {
+    #[must_use]
+    pub fn new(store: Store, jobs: Jobs, limits: Limits) -> Self {
+        let questions = Arc::new(Semaphore::new(limits.max_concurrent_questions));
+        Self { store, jobs, limits, cache: Arc::default(), questions, content_references: Arc::default() }
+    }
+
+    #[must_use]
+    pub fn store(&self) -> &Store {
+        &self.store
+    }
+}

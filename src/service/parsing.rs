@@ -1,0 +1,280 @@
+//! Parsing as a job: the same content with the same settings is parsed once.
+
+use super::Service;
+use crate::error::Error;
+use crate::ingest::{self, ImportSettings};
+use crate::jobs::{Handler, Job, JobContext, JobFailure};
+use crate::models::attributes;
+use crate::progress::Progress;
+use crate::scene::{ImportReport, ParsedScene, write_cloud_ply, write_instances_ply};
+use crate::scene_parsing::evidence::{EvidencePicture, Picture};
+use crate::scene_parsing::masks::MaskSource;
+use crate::scene_parsing::masks::rgbd::RgbdMasks;
+use crate::scene_parsing::{self, ParsingSettings, evidence};
+use crate::store::{NewParse, SceneRow, Scratch};
+use camino::{Utf8Path, Utf8PathBuf};
+use futures::FutureExt;
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+use std::fs::{self, File};
+use std::sync::Arc;
+use tokio::task::spawn_blocking;
+use utoipa::ToSchema;
+use uuid::Uuid;
+
+/// Name of the job kind.
+pub const PARSE_JOB: &str = "parse";
+
+/// Raised when stage 1 changes what it computes: older parses are kept, but not taken for new ones.
+const STAGE_1_VERSION: u32 = 1;
+
+/// Everything a parse depends on, beside the content.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ParseSettings {
+    pub import: ImportSettings,
+    pub parsing: ParsingSettings,
+}
+
+/// Where settings start from; given settings then replace single values.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ParsePreset {
+    /// What measures best over several rooms.
+    #[default]
+    Default,
+    /// Every value the paper states.
+    Paper,
+}
+
+/// Models a parse was made with: name and version each.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+pub struct ParseModels {
+    pub masks: String,
+    pub encoder: String,
+}
+
+#[derive(Serialize, Deserialize)]
+struct Payload {
+    scene_id: String,
+    settings: ParseSettings,
+}
+
+impl ParseSettings {
+    /// A preset with single values replaced by `overrides`, a partial settings object.
+    ///
+    /// # Errors
+    /// [`Error::Invalid`] with a JSON pointer below `/settings`.
+    pub fn from_request(preset: ParsePreset, overrides: Option<serde_json::Value>) -> Result<Self, Error> {
+        let base = match preset {
+            ParsePreset::Default => Self::default(),
+            ParsePreset::Paper => Self { parsing: ParsingSettings::paper(), ..Self::default() },
+        };
+        let mut merged = serde_json::to_value(base)?;
+        if let Some(overrides) = overrides {
+            merge(&mut merged, overrides);
+        }
+        let settings: Self = serde_path_to_error::deserialize(merged).map_err(|e| {
+            let pointer = e.path().iter().map(|segment| format!("/{segment}")).collect::<String>();
+            Error::invalid(format!("/settings{pointer}"), e.inner().to_string())
+        })?;
+        settings.check()?;
+        Ok(settings)
+    }
+
+    fn check(&self) -> Result<(), Error> {
+        let fusion = &self.import.fusion;
+        for (pointer, fine, expected) in [
+            ("/voxel_m", (0.001..=1.0).contains(&fusion.voxel_m), "0.001 to 1 metres"),
+            ("/max_depth_m", fusion.max_depth_m.is_finite() && fusion.max_depth_m > 0.0, "above 0"),
+            ("/silhouette_tolerance", fusion.silhouette_tolerance.is_finite() && fusion.silhouette_tolerance > 0.0, "above 0"),
+        ] {
+            if !fine {
+                return Err(Error::invalid(format!("/settings/import/fusion{pointer}"), format!("must be {expected}")));
+            }
+        }
+        self.parsing.check().map_err(|(pointer, expected)| Error::invalid(format!("/settings/parsing{pointer}"), format!("must be {expected}")))
+    }
+
+    /// Identifies settings and the code and models that read them.
+    fn hash(&self, models: &ParseModels) -> Result<String, Error> {
+        let mut hasher = Sha256::new();
+        hasher.update(serde_json::to_vec(&(STAGE_1_VERSION, models, self))?);
+        Ok(hasher.finalize().iter().take(16).map(|byte| format!("{byte:02x}")).collect())
+    }
+}
+
+/// Replaces values in `base` by those of `over`, object by object.
+fn merge(base: &mut serde_json::Value, over: serde_json::Value) {
+    match (base, over) {
+        (serde_json::Value::Object(base), serde_json::Value::Object(over)) => {
+            for (key, value) in over {
+                merge(base.entry(key).or_insert(serde_json::Value::Null), value);
+            }
+        }
+        (base, over) => *base = over,
+    }
+}
+
+/// What the blocking part of a parse produces.
+struct Finished {
+    import: ImportReport,
+    parsed: ParsedScene,
+    blobs: Scratch,
+}
+
+impl Service {
+    /// The models a parse started now is made with.
+    #[must_use]
+    pub fn parse_models(&self) -> ParseModels {
+        ParseModels { masks: RgbdMasks::default().name().to_owned(), encoder: attributes::NAME.to_owned() }
+    }
+
+    /// Parses a scene, in the background. A stored parse of the same content and settings is taken at once.
+    ///
+    /// # Errors
+    /// [`Error`] when the scene is unknown or the queue is full.
+    pub async fn start_parse(&self, scene_id: &str, settings: &ParseSettings) -> Result<Job, Error> {
+        let scene = self.scene_row(scene_id).await?;
+        let payload = serde_json::to_string(&Payload { scene_id: scene.id.clone(), settings: settings.clone() })?;
+        let job = match self.stored_parse(&scene, settings).await? {
+            Some(parse_id) => {
+                self.store.set_scene_parse(&scene.id, &parse_id).await?;
+                self.jobs.submit_done(PARSE_JOB, &payload, "the stored parse of the same content and settings is used").await?
+            }
+            None => self.jobs.submit(PARSE_JOB, &payload).await?,
+        };
+        self.store.set_scene_job(&scene.id, &job.id).await?;
+        Ok(job)
+    }
+
+    async fn stored_parse(&self, scene: &SceneRow, settings: &ParseSettings) -> Result<Option<String>, Error> {
+        let hash = settings.hash(&self.parse_models())?;
+        Ok(self.store.parse_of(&scene.content_hash, &hash).await?.map(|parse| parse.id))
+    }
+
+    /// The handler of [`PARSE_JOB`].
+    #[must_use]
+    pub fn parse_handler(&self) -> Handler {
+        let service = self.clone();
+        Arc::new(move |context| {
+            let service = service.clone();
+            async move {
+                service.run_parse(context).await.map_err(|error| match error.code() {
+                    "cancelled" => JobFailure::Cancelled,
+                    code => {
+                        tracing::warn!(error = &error as &dyn std::error::Error, "parse failed");
+                        JobFailure::Failed { code: code.to_owned(), detail: error.to_string() }
+                    }
+                })
+            }
+            .boxed()
+        })
+    }
+
+    async fn run_parse(&self, JobContext { payload, progress }: JobContext) -> Result<String, Error> {
+        let Payload { scene_id, settings } = serde_json::from_str(&payload)?;
+        let scene = self.scene_row(&scene_id).await?;
+        if let Some(parse_id) = self.stored_parse(&scene, &settings).await? {
+            self.store.set_scene_parse(&scene_id, &parse_id).await?;
+            return Ok("the stored parse of the same content and settings is used".into());
+        }
+        let (content, scratch) = (self.store.blobs.content(&scene.content_hash), self.store.blobs.scratch()?);
+        let job_settings = settings.clone();
+        let Finished { import, parsed, blobs } = spawn_blocking(move || parse_content(&content, &job_settings, scratch, &progress)).await??;
+
+        let models = self.parse_models();
+        let id = Uuid::now_v7().to_string();
+        self.store.blobs.publish(blobs, &self.store.blobs.parse(&id))?;
+        let inserted = self
+            .store
+            .insert_parse(NewParse {
+                id: &id,
+                content_hash: &scene.content_hash,
+                settings_hash: &settings.hash(&models)?,
+                settings: serde_json::to_string(&settings)?,
+                models: serde_json::to_string(&models)?,
+                import_report: serde_json::to_string(&import)?,
+                parse_report: serde_json::to_string(&parsed.report)?,
+                extent: serde_json::to_string(&parsed.extent)?,
+                instances: &parsed.instances,
+            })
+            .await?;
+        if !inserted {
+            self.store.blobs.remove(&self.store.blobs.parse(&id))?;
+        }
+        let parse_id = match inserted {
+            true => id,
+            // Somebody parsed the same meanwhile, or the scene is gone.
+            false => self.stored_parse(&scene, &settings).await?.ok_or(Error::SceneNotFound { id: scene_id.clone() })?,
+        };
+        self.store.set_scene_parse(&scene_id, &parse_id).await?;
+        let report = &parsed.report;
+        Ok(format!("{} instances from {} points and {} frames", report.instances, report.points, report.frames_used))
+    }
+}
+
+/// Stage 1 from an unpacked archive to files in `blobs`; runs on a blocking thread and on rayon.
+fn parse_content(content: &Utf8Path, settings: &ParseSettings, blobs: Scratch, progress: &Progress) -> Result<Finished, Error> {
+    let scan = ingest::open(content)?;
+    let bundle = ingest::load(&scan, &settings.import, &progress.part(0.0, 0.25))?;
+    let (import, frames) = (bundle.report.clone(), bundle.frames.clone());
+    let masks = RgbdMasks { settings: settings.parsing.rgbd_masks };
+    let parsed = scene_parsing::parse(bundle, &masks, &settings.parsing, &progress.part(0.25, 0.8))?;
+
+    write_cloud_ply(&parsed.cloud, File::create(blobs.path().join("cloud.ply"))?)?;
+    write_instances_ply(&parsed, File::create(blobs.path().join("instances.ply"))?)?;
+    let views = blobs.path().join("views");
+    fs::create_dir(&views)?;
+    evidence::render(&frames, &parsed.instances, &progress.part(0.8, 1.0), |EvidencePicture { instance, view, picture, jpeg }| {
+        Ok::<_, Error>(fs::write(views.join(view_file(instance.0, view, picture)), jpeg)?)
+    })?;
+    Ok(Finished { import, parsed, blobs })
+}
+
+/// Name of an evidence picture within a parse's `views/`.
+pub(super) fn view_file(instance: u32, view: usize, picture: Picture) -> Utf8PathBuf {
+    let kind = match picture {
+        Picture::Crop => "crop",
+        Picture::Frame => "frame",
+    };
+    format!("{instance}-{view}-{kind}.jpg").into()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn single_values_replace_those_of_the_preset() {
+        let settings = ParseSettings::from_request(ParsePreset::Paper, Some(json!({"parsing": {"superpoints": {"seed_m": 0.5}}}))).unwrap();
+        assert_eq!((settings.parsing.superpoints.seed_m, settings.parsing.superpoints.voxel_m), (0.5, 0.05));
+        assert_eq!(settings.parsing.depth_tolerance, 0.15);
+    }
+
+    #[test]
+    fn wrong_settings_are_named_by_pointer() {
+        for (overrides, expected) in [
+            (json!({"parsing": {"superpoints": {"voxel_m": -1}}}), "/settings/parsing/superpoints/voxel_m"),
+            (json!({"parsing": {"superpoints": {"voxel_m": "wide"}}}), "/settings/parsing/superpoints/voxel_m"),
+            (json!({"parsing": {"superpoint": {}}}), "/settings/parsing"),
+            (json!({"import": {"fusion": {"voxel_m": 0}}}), "/settings/import/fusion/voxel_m"),
+            (json!(7), "/settings"),
+        ] {
+            let Err(Error::Invalid { pointer, .. }) = ParseSettings::from_request(ParsePreset::Default, Some(overrides.clone())) else {
+                panic!("{overrides} was accepted")
+            };
+            assert!(pointer.starts_with(expected), "{overrides}: {pointer}");
+        }
+    }
+
+    #[test]
+    fn settings_and_models_make_the_hash() {
+        let models = |encoder: &str| ParseModels { masks: "m".into(), encoder: encoder.into() };
+        let (default, paper) = (ParseSettings::default(), ParseSettings::from_request(ParsePreset::Paper, None).unwrap());
+        assert_eq!(default.hash(&models("a")).unwrap(), default.clone().hash(&models("a")).unwrap());
+        assert_ne!(default.hash(&models("a")).unwrap(), paper.hash(&models("a")).unwrap());
+        assert_ne!(default.hash(&models("a")).unwrap(), default.hash(&models("b")).unwrap());
+    }
+}

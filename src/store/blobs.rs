@@ -1,0 +1,127 @@
+//! Files beside the database.
+//!
+//! ```text
+//! blobs/contents/<sha256>/...     an unpacked archive
+//! blobs/parses/<id>/cloud.ply  instances.ply  views/<instance>-<view>-{crop,frame}.jpg
+//! tmp/                            uploads and folders being written; emptied at start
+//! ```
+//! A folder is written under `tmp/` and moved into place as a whole, so a blob that can be seen is complete.
+
+use camino::{Utf8Path, Utf8PathBuf};
+use std::collections::HashSet;
+use std::fs;
+use std::io;
+use uuid::Uuid;
+
+#[derive(Debug, Clone)]
+pub struct Blobs {
+    root: Utf8PathBuf,
+    tmp: Utf8PathBuf,
+}
+
+/// A folder being written.
+#[derive(Debug)]
+pub struct Scratch {
+    path: Utf8PathBuf,
+}
+
+impl Scratch {
+    #[must_use]
+    pub fn path(&self) -> &Utf8Path {
+        &self.path
+    }
+}
+
+impl Drop for Scratch {
+    fn drop(&mut self) {
+        // Published folders have moved away; what can not be removed now goes when the server starts next.
+        if let Err(error) = fs::remove_dir_all(&self.path)
+            && error.kind() != io::ErrorKind::NotFound
+        {
+            tracing::warn!(folder = %self.path, %error, "a temporary folder stays behind");
+        }
+    }
+}
+
+impl Blobs {
+    pub(super) fn open(data_dir: &Utf8Path) -> io::Result<Self> {
+        let blobs = Self { root: data_dir.join("blobs"), tmp: data_dir.join("tmp") };
+        if blobs.tmp.exists() {
+            fs::remove_dir_all(&blobs.tmp)?;
+        }
+        for folder in [&blobs.tmp, &blobs.root.join("contents"), &blobs.root.join("parses")] {
+            fs::create_dir_all(folder)?;
+        }
+        Ok(blobs)
+    }
+
+    #[must_use]
+    pub fn content(&self, hash: &str) -> Utf8PathBuf {
+        self.root.join("contents").join(hash)
+    }
+
+    #[must_use]
+    pub fn parse(&self, id: &str) -> Utf8PathBuf {
+        self.root.join("parses").join(id)
+    }
+
+    /// Folder for files being received, on the same file system as the blobs.
+    #[must_use]
+    pub fn tmp(&self) -> &Utf8Path {
+        &self.tmp
+    }
+
+    /// A new empty folder under `tmp/`, removed again unless it is published.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn scratch(&self) -> io::Result<Scratch> {
+        let path = self.tmp.join(Uuid::now_v7().to_string());
+        fs::create_dir(&path)?;
+        Ok(Scratch { path })
+    }
+
+    /// Moves a finished folder into place. When somebody was faster, theirs stays: same name, same content.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn publish(&self, scratch: Scratch, place: &Utf8Path) -> io::Result<()> {
+        if place.exists() {
+            return Ok(());
+        }
+        fs::rename(&scratch.path, place)
+    }
+
+    /// Removes a folder; nothing to remove is fine.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn remove(&self, folder: &Utf8Path) -> io::Result<()> {
+        match fs::remove_dir_all(folder) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+            _ => Ok(()),
+        }
+    }
+
+    /// Whether files can be written.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn probe(&self) -> io::Result<()> {
+        self.scratch().map(drop)
+    }
+
+    pub(super) fn keep_only(&self, contents: &[String], parses: &[String]) -> io::Result<()> {
+        for (folder, known) in [("contents", contents), ("parses", parses)] {
+            let known: HashSet<&str> = known.iter().map(String::as_str).collect();
+            for entry in self.root.join(folder).read_dir_utf8()? {
+                let entry = entry?;
+                if !known.contains(entry.file_name()) {
+                    tracing::info!(blob = %entry.path(), "removing a blob no record speaks of");
+                    fs::remove_dir_all(entry.path())?;
+                }
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,136 @@
+//! The durable side of the job queue.
+
+use super::{Store, StoreError, now};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+use uuid::Uuid;
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, sqlx::Type)]
+#[serde(rename_all = "snake_case")]
+#[sqlx(rename_all = "snake_case")]
+pub enum JobState {
+    Queued,
+    Running,
+    Succeeded,
+    Failed,
+    Cancelled,
+}
+
+impl JobState {
+    #[must_use]
+    pub fn is_final(self) -> bool {
+        matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
+    }
+}
+
+/// A job as stored.
+#[derive(Debug, Clone, PartialEq, sqlx::FromRow)]
+pub struct JobRow {
+    pub id: String,
+    pub kind: String,
+    pub payload: String,
+    pub state: JobState,
+    pub stage: Option<String>,
+    pub progress: f64,
+    pub attempts: i64,
+    pub message: Option<String>,
+    pub error_code: Option<String>,
+    pub error: Option<String>,
+    pub created_at: String,
+    pub started_at: Option<String>,
+    pub finished_at: Option<String>,
+}
+
+impl Store {
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn insert_job(&self, kind: &str, payload: &str) -> Result<JobRow, StoreError> {
+        let sql = "INSERT INTO jobs (id, kind, payload, state, created_at) VALUES (?, ?, ?, 'queued', ?) RETURNING *";
+        Ok(sqlx::query_as(sql).bind(Uuid::now_v7().to_string()).bind(kind).bind(payload).bind(now()).fetch_one(&self.writer).await?)
+    }
+
+    /// Records a job whose result was there already.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn insert_done_job(&self, kind: &str, payload: &str, message: &str) -> Result<JobRow, StoreError> {
+        let sql = "INSERT INTO jobs (id, kind, payload, state, progress, message, created_at, started_at, finished_at)
+                   VALUES (?1, ?2, ?3, 'succeeded', 1.0, ?4, ?5, ?5, ?5) RETURNING *";
+        let id = Uuid::now_v7().to_string();
+        Ok(sqlx::query_as(sql).bind(id).bind(kind).bind(payload).bind(message).bind(now()).fetch_one(&self.writer).await?)
+    }
+
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn job(&self, id: &str) -> Result<Option<JobRow>, StoreError> {
+        Ok(sqlx::query_as("SELECT * FROM jobs WHERE id = ?").bind(id).fetch_optional(&self.reader).await?)
+    }
+
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn queued_jobs(&self) -> Result<u32, StoreError> {
+        Ok(sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued'").fetch_one(&self.reader).await?)
+    }
+
+    /// Takes the oldest queued job; one UPDATE, so no two workers get the same.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn claim_job(&self) -> Result<Option<JobRow>, StoreError> {
+        let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = ?, stage = NULL, progress = 0
+                   WHERE id = (SELECT id FROM jobs WHERE state = 'queued' ORDER BY id LIMIT 1) RETURNING *";
+        Ok(sqlx::query_as(sql).bind(now()).fetch_optional(&self.writer).await?)
+    }
+
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn save_job_progress(&self, id: &str, stage: &str, progress: f32) -> Result<(), StoreError> {
+        let sql = "UPDATE jobs SET stage = ?, progress = ? WHERE id = ? AND state = 'running'";
+        sqlx::query(sql).bind(stage).bind(progress).bind(id).execute(&self.writer).await?;
+        Ok(())
+    }
+
+    /// Ends a job that is not over yet; what ended it first stays.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn finish_job(&self, id: &str, state: JobState, message: Option<&str>, error: Option<(&str, &str)>) -> Result<(), StoreError> {
+        let sql = "UPDATE jobs SET state = ?1, message = ?2, error_code = ?3, error = ?4, finished_at = ?5,
+                   progress = CASE WHEN ?1 = 'succeeded' THEN 1.0 ELSE progress END
+                   WHERE id = ?6 AND state IN ('queued', 'running')";
+        let (code, detail) = error.unzip();
+        sqlx::query(sql).bind(state).bind(message).bind(code).bind(detail).bind(now()).bind(id).execute(&self.writer).await?;
+        Ok(())
+    }
+
+    /// Cancels a job that no worker has taken; `false` when one has.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn cancel_queued_job(&self, id: &str) -> Result<bool, StoreError> {
+        let sql = "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ? AND state = 'queued'";
+        Ok(sqlx::query(sql).bind(now()).bind(id).execute(&self.writer).await?.rows_affected() > 0)
+    }
+
+    /// Puts a running job back: the server stops, the next one goes on. A planned stop does not count as an attempt.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn requeue_job(&self, id: &str) -> Result<(), StoreError> {
+        let sql = "UPDATE jobs SET state = 'queued', attempts = attempts - 1, started_at = NULL WHERE id = ? AND state = 'running'";
+        sqlx::query(sql).bind(id).execute(&self.writer).await?;
+        Ok(())
+    }
+
+    /// At start: jobs a crashed server left running go back to the queue, or fail once they have brought it down too often.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn recover_jobs(&self, max_attempts: u32) -> Result<(), StoreError> {
+        let give_up = "UPDATE jobs SET state = 'failed', error_code = 'interrupted', finished_at = ?,
+                       error = 'the server stopped ' || attempts || ' times while this job ran' WHERE state = 'running' AND attempts >= ?";
+        sqlx::query(give_up).bind(now()).bind(max_attempts).execute(&self.writer).await?;
+        sqlx::query("UPDATE jobs SET state = 'queued' WHERE state = 'running'").execute(&self.writer).await?;
+        Ok(())
+    }
+}
