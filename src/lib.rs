@@ -1,7 +1,10 @@
 //! uniground: 3D visual grounding as a service.
+pub mod app;
+pub mod config;
 pub mod error;
 pub mod geometry;
 pub mod grounding;
+pub mod http;
 pub mod ingest;
 pub mod jobs;
 pub mod models;
@@ -11,4 +14,5 @@ pub mod scene;
 pub mod scene_parsing;
 pub mod service;
 pub mod store;
+pub mod telemetry;
 pub mod cli;

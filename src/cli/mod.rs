@@ -1,7 +1,10 @@
 //! The command line: one file per subcommand.
 
+mod openapi;
 mod parse;
+mod serve;
 
+use crate::config::ServeConfig;
 use clap::{Parser, Subcommand};
 
 #[derive(Debug, Parser)]
@@ -13,8 +16,12 @@ pub struct Cli {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Run the service
+    Serve(ServeConfig),
     /// Cut a scan into instances, without a server
     Parse(parse::ParseArgs),
+    /// Print the OpenAPI description of the service
+    Openapi,
 }
 
 /// Runs the chosen subcommand.
@@ -23,6 +30,12 @@ enum Command {
 /// Whatever went wrong, for `main` to print.
 pub fn run(cli: &Cli) -> anyhow::Result<()> {
     match &cli.command {
+        Command::Serve(config) => asynchronous(serve::run(config)),
         Command::Parse(args) => parse::run(args),
+        Command::Openapi => openapi::run(),
     }
+}
+
+fn asynchronous(work: impl Future<Output = anyhow::Result<()>>) -> anyhow::Result<()> {
+    tokio::runtime::Builder::new_multi_thread().enable_all().build()?.block_on(work)
 }

@@ -1,0 +1,79 @@
+//! Composition root: configuration to parts to a running service to a clean stop. The only place that knows every part.
+
+use crate::config::ServeConfig;
+use crate::http::{self, App};
+use crate::jobs::Jobs;
+use crate::service::{PARSE_JOB, Service};
+use crate::store::Store;
+use anyhow::Context;
+use std::collections::HashMap;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use tokio::net::TcpListener;
+use tokio::task::JoinHandle;
+use tokio_util::sync::CancellationToken;
+
+/// A service that listens.
+pub struct RunningService {
+    /// Where it listens, with the port the system picked.
+    pub address: SocketAddr,
+    shutdown: CancellationToken,
+    server: JoinHandle<std::io::Result<()>>,
+    worker: JoinHandle<()>,
+    store: Store,
+}
+
+/// Starts everything.
+///
+/// # Errors
+/// When the address, the data folder or the key can not be used.
+pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
+    let api_key = config.api_key()?.map(Arc::new);
+    let store = Store::open(&config.data_dir).await.with_context(|| format!("the data folder {}", config.data_dir))?;
+    let jobs = Jobs::new(store.clone(), config.limits.max_queued_jobs);
+    let service = Service::new(store.clone(), jobs.clone(), config.limits.service_limits());
+    let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
+    let address = listener.local_addr()?;
+
+    let shutdown = CancellationToken::new();
+    let worker_ended = CancellationToken::new();
+    let handlers = HashMap::from([(PARSE_JOB, service.parse_handler())]);
+    let worker = tokio::spawn({
+        let (shutdown, worker_ended) = (shutdown.clone(), worker_ended.clone());
+        async move {
+            // Dropped however the worker ends, so that /readyz learns of it.
+            let _ended = worker_ended.drop_guard();
+            if let Err(error) = jobs.work(&handlers, shutdown).await {
+                tracing::error!(error = &error as &dyn std::error::Error, "the job worker stopped");
+            }
+        }
+    });
+    let router = http::router(App { service, api_key, shutdown: shutdown.clone(), worker: worker_ended });
+    let server = tokio::spawn({
+        let shutdown = shutdown.clone();
+        async move { axum::serve(listener, router).with_graceful_shutdown(shutdown.cancelled_owned()).await }
+    });
+    Ok(RunningService { address, shutdown, server, worker, store })
+}
+
+impl RunningService {
+    /// Stops: no new requests, running ones finish, the running job goes back to the queue, the database is closed.
+    ///
+    /// # Errors
+    /// When the server had failed before.
+    pub async fn stop(self) -> anyhow::Result<()> {
+        self.shutdown.cancel();
+        let served = self.server.await;
+        self.worker.await?;
+        self.store.close().await;
+        Ok(served??)
+    }
+
+    /// Completes when the server ends by itself, which it only does when it fails.
+    pub async fn ended(&mut self) {
+        // A finished handle must not be polled again: `stop` does that for the error, so only look.
+        while !self.server.is_finished() {
+            tokio::time::sleep(std::time::Duration::from_millis(200)).await;
+        }
+    }
+}

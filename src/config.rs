@@ -1,0 +1,103 @@
+//! Configuration: every flag is also an environment variable; units are in the names.
+
+use crate::http::ApiKey;
+use crate::ingest::archive::UnpackLimits;
+use crate::service::Limits;
+use anyhow::{Context, bail};
+use camino::Utf8PathBuf;
+use std::fs;
+use std::net::SocketAddr;
+
+/// `uniground serve`
+#[derive(Debug, Clone, clap::Args)]
+pub struct ServeConfig {
+    /// Address to listen on; port 0 picks a free one. Anything but loopback needs a key
+    #[arg(long, env = "UNIGROUND_LISTEN", default_value = "127.0.0.1:8080")]
+    pub listen: SocketAddr,
+    /// Folder for the database and the scenes' files
+    #[arg(long, env = "UNIGROUND_DATA_DIR", default_value = "./data")]
+    pub data_dir: Utf8PathBuf,
+    #[command(flatten)]
+    pub access: AccessConfig,
+    #[command(flatten)]
+    pub limits: LimitsConfig,
+    #[command(flatten)]
+    pub log: LogConfig,
+}
+
+/// Who may ask.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct AccessConfig {
+    /// File that holds the key callers must show as a bearer token (or the key itself in UNIGROUND_API_KEY)
+    #[arg(long, env = "UNIGROUND_API_KEY_FILE", value_name = "FILE")]
+    pub api_key_file: Option<Utf8PathBuf>,
+    /// Serve a non-loopback address without a key: anybody who reaches it can read and delete every scene
+    #[arg(long, env = "UNIGROUND_ALLOW_ANYBODY")]
+    pub allow_anybody: bool,
+}
+
+/// What requests may take.
+#[derive(Debug, Clone, clap::Args)]
+pub struct LimitsConfig {
+    /// Largest upload accepted, bytes
+    #[arg(long, env = "UNIGROUND_MAX_UPLOAD_BYTES", default_value_t = 16 << 30)]
+    pub max_upload_bytes: u64,
+    /// Largest size an archive may unpack to, bytes
+    #[arg(long, env = "UNIGROUND_MAX_UNPACKED_BYTES", default_value_t = UnpackLimits::default().max_bytes)]
+    pub max_unpacked_bytes: u64,
+    /// Parses that may wait; more uploads are told to come back later
+    #[arg(long, env = "UNIGROUND_MAX_QUEUED_JOBS", default_value_t = 100)]
+    pub max_queued_jobs: u32,
+    /// Questions answered at once
+    #[arg(long, env = "UNIGROUND_MAX_CONCURRENT_QUESTIONS", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub max_concurrent_questions: u32,
+}
+
+/// What the log looks like. Its level is RUST_LOG's, `info` by default.
+#[derive(Debug, Clone, clap::Args)]
+pub struct LogConfig {
+    #[arg(long, env = "UNIGROUND_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
+    pub log_format: LogFormat,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
+pub enum LogFormat {
+    Text,
+    Json,
+}
+
+impl LimitsConfig {
+    #[must_use]
+    pub fn service_limits(&self) -> Limits {
+        Limits {
+            max_upload_bytes: self.max_upload_bytes,
+            unpack: UnpackLimits { max_bytes: self.max_unpacked_bytes, ..UnpackLimits::default() },
+            max_concurrent_questions: self.max_concurrent_questions as usize,
+        }
+    }
+}
+
+impl ServeConfig {
+    /// The key callers must show, if any.
+    ///
+    /// # Errors
+    /// When the key can not be read, or the address is reachable from outside and nothing protects it.
+    pub fn api_key(&self) -> anyhow::Result<Option<ApiKey>> {
+        let key = match &self.access.api_key_file {
+            Some(file) => Some(fs::read_to_string(file).with_context(|| format!("the key file {file}"))?),
+            None => std::env::var("UNIGROUND_API_KEY").ok(),
+        };
+        let key = key.map(|key| key.trim().to_owned());
+        match key {
+            Some(key) if key.len() < MIN_KEY_BYTES => bail!("the API key is too short: at least {MIN_KEY_BYTES} characters"),
+            Some(key) => Ok(Some(ApiKey::new(&key))),
+            None if self.listen.ip().is_loopback() || self.access.allow_anybody => Ok(None),
+            None => bail!(
+                "{} can be reached from other machines: set UNIGROUND_API_KEY or --api-key-file, or say --allow-anybody",
+                self.listen
+            ),
+        }
+    }
+}
+
+const MIN_KEY_BYTES: usize = 16;

@@ -1,0 +1,59 @@
+//! `/v1/scenes/{scene_id}/ground` and `/shortlist`
+
+use super::App;
+use super::extract::{Json, Path};
+use super::problem::Problem;
+use crate::service::{Answer, GroundRequest, ShortlistRequest, Shortlisted};
+use axum::extract::State;
+
+/// Grounds one expression in a parsed scene.
+///
+/// `no_match` and `ambiguous` are answers, not errors: `box` is `null` and, for `ambiguous`, `alternatives` lists the tied objects.
+#[utoipa::path(
+    post, path = "/v1/scenes/{scene_id}/ground", tag = "grounding", params(("scene_id" = String, Path)), request_body = GroundRequest,
+    responses(
+        (status = 200, body = Answer),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+        (status = 502, body = Problem, content_type = "application/problem+json"),
+        (status = 504, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn ground(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    Json(request): Json<GroundRequest>,
+) -> Result<axum::Json<Answer>, Problem> {
+    Ok(axum::Json(app.service.ground(&scene_id, request).await?))
+}
+
+/// The candidates for a query by names and attributes alone, without reasoning over relations.
+#[utoipa::path(
+    post, path = "/v1/scenes/{scene_id}/shortlist", tag = "grounding", params(("scene_id" = String, Path)), request_body = ShortlistRequest,
+    responses(
+        (status = 200, body = Shortlisted),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn shortlist(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    Json(request): Json<ShortlistRequest>,
+) -> Result<axum::Json<Shortlisted>, Problem> {
+    Ok(axum::Json(app.service.shortlist(&scene_id, request).await?))
+}

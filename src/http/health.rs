@@ -1,0 +1,56 @@
+//! `/healthz` and `/readyz`
+
+use super::App;
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct Health {
+    /// Always `ok`: a process that answers is alive.
+    pub status: String,
+    pub version: String,
+}
+
+/// What the service needs to do its work, each `ok` or what is wrong.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct Readiness {
+    pub ready: bool,
+    pub database: String,
+    pub blob_folder: String,
+    pub worker: String,
+    /// Where masks come from.
+    pub masks: String,
+    /// How instances and words are compared.
+    pub encoder: String,
+}
+
+/// Whether the process is alive.
+#[utoipa::path(get, path = "/healthz", tag = "service", responses((status = 200, body = Health)))]
+pub async fn healthz() -> Json<Health> {
+    Json(Health { status: "ok".into(), version: env!("CARGO_PKG_VERSION").into() })
+}
+
+/// Whether the service can do its work.
+#[utoipa::path(get, path = "/readyz", tag = "service", responses((status = 200, body = Readiness), (status = 503, body = Readiness)))]
+pub async fn readyz(State(app): State<App>) -> (StatusCode, Json<Readiness>) {
+    let store = app.service.store().clone();
+    let database = store.ping().await.map_err(|error| error.to_string());
+    let blobs = tokio::task::spawn_blocking(move || store.blobs.probe()).await;
+    let blob_folder = blobs.map_err(std::io::Error::other).flatten().map_err(|error| error.to_string());
+    let worker = if app.worker.is_cancelled() { Err("stopped".to_owned()) } else { Ok(()) };
+    let ready = database.is_ok() && blob_folder.is_ok() && worker.is_ok();
+    let word = |check: Result<(), String>| check.err().unwrap_or_else(|| "ok".into());
+    let models = app.service.parse_models();
+    let readiness = Readiness {
+        ready,
+        database: word(database),
+        blob_folder: word(blob_folder),
+        worker: word(worker),
+        masks: models.masks,
+        encoder: models.encoder,
+    };
+    (if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE }, Json(readiness))
+}

@@ -1,0 +1,104 @@
+//! `/v1/scenes/{scene_id}/instances`
+
+use super::App;
+use super::extract::{Path, Query};
+use super::problem::Problem;
+use super::scenes::send_file;
+use crate::scene::InstanceId;
+use crate::service::{InstanceList, InstanceView, ViewPicture};
+use axum::Json;
+use axum::extract::State;
+use axum::http::StatusCode;
+use axum::response::Response;
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ListParameters {
+    /// Instances per page.
+    #[serde(default = "default_limit")]
+    #[param(minimum = 1, maximum = 1000, default = 100)]
+    limit: u32,
+    /// `next_cursor` of the page before.
+    #[serde(default)]
+    cursor: u32,
+}
+
+fn default_limit() -> u32 {
+    100
+}
+
+/// The instances of a scene's current parse, in order of id: the largest first.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}/instances", tag = "instances", params(("scene_id" = String, Path), ListParameters),
+    responses(
+        (status = 200, body = InstanceList),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn list(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    Query(ListParameters { limit, cursor }): Query<ListParameters>,
+) -> Result<Json<InstanceList>, Problem> {
+    if !(1..=1000).contains(&limit) {
+        return Err(Problem::invalid("limit", "must be 1 to 1000"));
+    }
+    Ok(Json(app.service.instances(&scene_id, limit, cursor).await?))
+}
+
+/// One instance.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}/instances/{instance_id}", tag = "instances",
+    params(("scene_id" = String, Path), ("instance_id" = u32, Path)),
+    responses(
+        (status = 200, body = InstanceView),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn get(State(app): State<App>, Path((scene_id, instance_id)): Path<(String, u32)>) -> Result<Json<InstanceView>, Problem> {
+    Ok(Json(app.service.instance(&scene_id, InstanceId(instance_id)).await?))
+}
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ViewParameters {
+    /// The full frame with a red box, or a tight crop.
+    #[serde(default)]
+    #[param(inline)]
+    picture: ViewPicture,
+}
+
+/// A picture that shows the instance: the best view is `0.jpg`.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}/instances/{instance_id}/views/{view}", tag = "instances",
+    params(("scene_id" = String, Path), ("instance_id" = u32, Path), ("view" = String, Path, description = "`{k}.jpg`, k from 0"), ViewParameters),
+    responses(
+        (status = 200, body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn view(
+    State(app): State<App>,
+    Path((scene_id, instance_id, view)): Path<(String, u32, String)>,
+    Query(ViewParameters { picture }): Query<ViewParameters>,
+) -> Result<Response, Problem> {
+    let number = view.strip_suffix(".jpg").and_then(|k| k.parse().ok());
+    let number = number.ok_or_else(|| Problem::new(StatusCode::NOT_FOUND, "view_not_found", format!("views are 0.jpg, 1.jpg, ...; not {view:?}")))?;
+    let file = app.service.view_picture(&scene_id, InstanceId(instance_id), number, picture).await?;
+    send_file(&file, "image/jpeg").await
+}

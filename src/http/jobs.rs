@@ -1,0 +1,98 @@
+//! `/v1/jobs`
+
+use super::App;
+use super::extract::Path;
+use super::problem::Problem;
+use crate::error::Error;
+use crate::jobs::Job;
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::sse::{Event, KeepAlive, Sse};
+use futures::{Stream, stream};
+use std::convert::Infallible;
+use std::time::Duration;
+
+/// How often a job is looked at for its event stream.
+const LOOK_EVERY: Duration = Duration::from_millis(150);
+
+/// A job as it stands.
+#[utoipa::path(
+    get, path = "/v1/jobs/{job_id}", tag = "jobs", params(("job_id" = String, Path)),
+    responses(
+        (status = 200, body = Job),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn get(State(app): State<App>, Path(job_id): Path<String>) -> Result<Json<Job>, Problem> {
+    Ok(Json(app.service.jobs.get(&job_id).await.map_err(Error::from)?))
+}
+
+/// Asks a job to stop. A finished job stays as it is.
+#[utoipa::path(
+    delete, path = "/v1/jobs/{job_id}", tag = "jobs", params(("job_id" = String, Path)),
+    responses(
+        (status = 202, body = Job, description = "Asked to stop; the job as it stands"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn cancel(State(app): State<App>, Path(job_id): Path<String>) -> Result<(StatusCode, Json<Job>), Problem> {
+    Ok((StatusCode::ACCEPTED, Json(app.service.jobs.cancel(&job_id).await.map_err(Error::from)?)))
+}
+
+/// Follows a job: `progress` events while it goes on, then one `done`; data is the job.
+///
+/// `Last-Event-ID` resumes: what the caller has seen is not sent again.
+#[utoipa::path(
+    get, path = "/v1/jobs/{job_id}/events", tag = "jobs",
+    params(("job_id" = String, Path), ("Last-Event-ID" = Option<String>, Header)),
+    responses(
+        (status = 200, body = String, content_type = "text/event-stream"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn events(
+    State(app): State<App>,
+    Path(job_id): Path<String>,
+    headers: HeaderMap,
+) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
+    app.service.jobs.get(&job_id).await.map_err(Error::from)?;
+    let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()).map(str::to_owned);
+    let stream = stream::unfold(Some(seen), move |state| {
+        let (app, job_id) = (app.clone(), job_id.clone());
+        async move { next_event(&app, &job_id, state?).await }
+    });
+    Ok(Sse::new(stream).keep_alive(KeepAlive::default()))
+}
+
+/// The next event the caller has not seen, and what it will have seen then; `None` ends the stream.
+async fn next_event(app: &App, job_id: &str, seen: Option<String>) -> Option<(Result<Event, Infallible>, Option<Option<String>>)> {
+    loop {
+        if app.shutdown.is_cancelled() {
+            return None;
+        }
+        let job = app.service.jobs.get(job_id).await.ok()?;
+        let id = event_id(&job);
+        let over = job.state.is_final();
+        if over || seen.as_deref() != Some(&id) {
+            let event = Event::default().id(id.clone()).event(if over { "done" } else { "progress" }).json_data(&job).ok()?;
+            return Some((Ok(event), (!over).then_some(Some(id))));
+        }
+        tokio::select! {
+            () = tokio::time::sleep(LOOK_EVERY) => {}
+            () = app.shutdown.cancelled() => return None,
+        }
+    }
+}
+
+/// Names a moment of a job: equal ids, equal state.
+fn event_id(job: &Job) -> String {
+    let stage = job.stage.as_deref().unwrap_or("-");
+    format!("{}.{:?}.{stage}.{:.0}", job.attempts, job.state, job.progress * 1000.0)
+}

@@ -1,0 +1,108 @@
+//! The HTTP face: decode, authorise, call one service function, encode. One file per resource.
+
+mod answers;
+mod auth;
+mod extract;
+mod grounding;
+mod health;
+mod instances;
+mod jobs;
+mod problem;
+mod scenes;
+
+pub use auth::ApiKey;
+use auth::BearerAuth;
+
+use crate::service::Service;
+use axum::http::HeaderName;
+use axum::{Router, middleware};
+use problem::Problem;
+use std::sync::Arc;
+use tokio_util::sync::CancellationToken;
+use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
+use tower_http::trace::TraceLayer;
+use utoipa::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+use utoipa_swagger_ui::SwaggerUi;
+
+/// What handlers share.
+#[derive(Clone)]
+pub struct App {
+    pub service: Service,
+    /// Required from callers when set.
+    pub api_key: Option<Arc<ApiKey>>,
+    /// Cancelled when the server stops: open event streams end.
+    pub shutdown: CancellationToken,
+    /// Cancelled when the job worker has ended.
+    pub worker: CancellationToken,
+}
+
+#[derive(OpenApi)]
+#[openapi(
+    info(
+        title = "uniground",
+        description = "3D visual grounding as a service: upload a scan of a room, ask in plain words, get the object's 3D box. \
+            Lengths are metres in a right-handed world with Z up; boxes are centre and full extent. \
+            Errors are RFC 9457 problem details with a stable `code`."
+    ),
+    tags(
+        (name = "scenes", description = "Scans and their parses"),
+        (name = "instances", description = "Objects found in a scene"),
+        (name = "grounding", description = "Questions and answers"),
+        (name = "jobs", description = "Work in the background"),
+        (name = "service", description = "Health")
+    ),
+    modifiers(&BearerAuth)
+)]
+struct Description;
+
+const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
+
+/// Routes and their description, in step by construction.
+fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::with_openapi(Description::openapi())
+        .routes(routes!(scenes::create, scenes::list))
+        .routes(routes!(scenes::get, scenes::rename, scenes::delete))
+        .routes(routes!(scenes::parse))
+        .routes(routes!(scenes::cloud))
+        .routes(routes!(scenes::instances_cloud))
+        .routes(routes!(instances::list))
+        .routes(routes!(instances::get))
+        .routes(routes!(instances::view))
+        .routes(routes!(jobs::get, jobs::cancel))
+        .routes(routes!(jobs::events))
+        .routes(routes!(grounding::ground))
+        .routes(routes!(grounding::shortlist))
+        .routes(routes!(answers::get))
+        .routes(routes!(answers::picture))
+        .routes(routes!(health::healthz))
+        .routes(routes!(health::readyz))
+}
+
+/// The OpenAPI description, as served at `/openapi.json`.
+#[must_use]
+pub fn openapi() -> utoipa::openapi::OpenApi {
+    routes().into_openapi()
+}
+
+/// The whole application.
+pub fn router(app: App) -> Router {
+    let (router, openapi) = routes().split_for_parts();
+    router
+        .layer(middleware::from_fn_with_state(app.clone(), auth::require_key))
+        .with_state(app)
+        // Health, the description and its page are open to everybody: the key protects scans and questions.
+        .merge(SwaggerUi::new("/docs").url("/openapi.json", openapi))
+        .fallback(problem::no_such_route)
+        .method_not_allowed_fallback(problem::method_not_allowed)
+        .layer(CatchPanicLayer::custom(|_: Box<dyn std::any::Any + Send>| {
+            use axum::response::IntoResponse;
+            Problem::internal().into_response()
+        }))
+        .layer(middleware::from_fn(problem::name_request))
+        .layer(PropagateRequestIdLayer::new(REQUEST_ID))
+        .layer(TraceLayer::new_for_http())
+        .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
+}

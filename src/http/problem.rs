@@ -1,0 +1,182 @@
+//! Errors on the wire: RFC 9457 problem details with a stable code. The one place that knows HTTP statuses.
+
+use super::REQUEST_ID;
+use crate::error::Error;
+use crate::ingest::IngestError;
+use crate::jobs::JobsError;
+use axum::Json;
+use axum::extract::Request;
+use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// An error. `code` is stable; `detail` is for people and names the file, frame or field.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Problem {
+    /// Always `about:blank`: the code says which problem it is.
+    #[serde(rename = "type")]
+    pub kind: String,
+    /// The status in words.
+    pub title: String,
+    pub status: u16,
+    pub detail: String,
+    #[schema(example = "scene_not_found")]
+    pub code: String,
+    /// The same as the header `x-request-id`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub request_id: Option<String>,
+    /// Fields of the request that are wrong.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub errors: Vec<FieldError>,
+    /// The job to wait for, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub job_id: Option<String>,
+    #[serde(skip)]
+    retry_after_s: Option<u32>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct FieldError {
+    /// JSON pointer into the request body, or the name of a query parameter.
+    #[schema(example = "/query")]
+    pub pointer: String,
+    pub detail: String,
+}
+
+impl Problem {
+    pub fn new(status: StatusCode, code: &str, detail: impl Into<String>) -> Self {
+        Self {
+            kind: "about:blank".into(),
+            title: status.canonical_reason().unwrap_or("Error").into(),
+            status: status.as_u16(),
+            detail: detail.into(),
+            code: code.into(),
+            request_id: None,
+            errors: Vec::new(),
+            job_id: None,
+            retry_after_s: None,
+        }
+    }
+
+    pub fn internal() -> Self {
+        Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "something went wrong inside the server; its log has the cause")
+    }
+
+    pub fn invalid(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
+        let (pointer, detail) = (pointer.into(), detail.into());
+        let mut problem = Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid_request", format!("{pointer}: {detail}"));
+        problem.errors.push(FieldError { pointer, detail });
+        problem
+    }
+}
+
+impl From<Error> for Problem {
+    fn from(error: Error) -> Self {
+        let (code, status) = (error.code(), status_of(&error));
+        if status.is_server_error() && status != StatusCode::BAD_GATEWAY {
+            tracing::error!(error = &error as &dyn std::error::Error, code, "request failed");
+        }
+        let detail = match status {
+            // What broke inside is for the log, not for the caller.
+            StatusCode::INTERNAL_SERVER_ERROR => Self::internal().detail,
+            _ => error.to_string(),
+        };
+        let mut problem = Self::new(status, code, detail);
+        match error {
+            Error::Invalid { pointer, detail } => problem.errors.push(FieldError { pointer, detail }),
+            Error::SceneNotReady { job_id, .. } => problem.job_id = job_id,
+            Error::Overloaded => problem.retry_after_s = Some(1),
+            Error::Jobs(JobsError::QueueFull { .. }) => problem.retry_after_s = Some(10),
+            _ => {}
+        }
+        problem
+    }
+}
+
+/// Status of each error. No wildcard over our own kinds: a new one does not compile until somebody decides.
+fn status_of(error: &Error) -> StatusCode {
+    match error {
+        Error::Ingest(error) => match error {
+            IngestError::ArchiveUnreadable { .. }
+            | IngestError::UnsafeEntry { .. }
+            | IngestError::UnknownLayout { .. }
+            | IngestError::Malformed { .. }
+            | IngestError::MissingFile { .. }
+            | IngestError::MissingIntrinsics { .. }
+            | IngestError::BadIntrinsics { .. }
+            | IngestError::FrameCountMismatch { .. }
+            | IngestError::BadPose { .. }
+            | IngestError::EmptyCloud { .. }
+            | IngestError::EmptyScene
+            | IngestError::NoUsableFrames { .. }
+            | IngestError::Frame(_)
+            | IngestError::ConventionMismatch { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+            IngestError::ArchiveTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
+            IngestError::Cancelled(_) => StatusCode::CONFLICT,
+            IngestError::Io { .. } => StatusCode::INTERNAL_SERVER_ERROR,
+        },
+        Error::Parse(_) | Error::Invalid { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+        Error::Jobs(error) => match error {
+            JobsError::NotFound { .. } => StatusCode::NOT_FOUND,
+            JobsError::QueueFull { .. } => StatusCode::TOO_MANY_REQUESTS,
+            JobsError::Store(_) => StatusCode::INTERNAL_SERVER_ERROR,
+        },
+        Error::SceneNotFound { .. } | Error::InstanceNotFound { .. } | Error::ViewNotFound { .. } | Error::AnswerNotFound { .. } => {
+            StatusCode::NOT_FOUND
+        }
+        Error::SceneNotReady { .. } => StatusCode::CONFLICT,
+        Error::VlmUnavailable => StatusCode::BAD_GATEWAY,
+        Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
+        Error::Overloaded => StatusCode::TOO_MANY_REQUESTS,
+        Error::UploadTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
+        Error::UploadInterrupted { .. } => StatusCode::BAD_REQUEST,
+        Error::Store(_) | Error::Io(_) | Error::Background(_) => StatusCode::INTERNAL_SERVER_ERROR,
+    }
+}
+
+impl IntoResponse for Problem {
+    fn into_response(self) -> Response {
+        let status = StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+        let mut response = (status, Json(&self)).into_response();
+        response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
+        if let Some(seconds) = self.retry_after_s {
+            response.headers_mut().insert(header::RETRY_AFTER, seconds.into());
+        }
+        response.extensions_mut().insert(self);
+        response
+    }
+}
+
+/// Writes the request's id into problem bodies.
+pub async fn name_request(request: Request, next: Next) -> Response {
+    let id = request_id(request.headers());
+    let mut response = next.run(request).await;
+    match response.extensions_mut().remove::<Problem>() {
+        Some(problem) => {
+            let headers = response.headers().clone();
+            let mut named = Problem { request_id: id, ..problem }.into_response();
+            // Keep what handlers and layers said beside the body ("Allow" and the like).
+            headers.into_iter().filter_map(|(name, value)| Some((name?, value))).for_each(|(name, value)| {
+                if name != header::CONTENT_LENGTH {
+                    named.headers_mut().insert(name, value);
+                }
+            });
+            named
+        }
+        None => response,
+    }
+}
+
+fn request_id(headers: &HeaderMap) -> Option<String> {
+    headers.get(REQUEST_ID).and_then(|id| id.to_str().ok()).map(str::to_owned)
+}
+
+pub async fn no_such_route(uri: Uri) -> Problem {
+    Problem::new(StatusCode::NOT_FOUND, "no_such_route", format!("there is nothing at {}", uri.path()))
+}
+
+pub async fn method_not_allowed(method: Method, uri: Uri) -> Problem {
+    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", format!("{method} is not possible at {}", uri.path()))
+}

@@ -1,0 +1,253 @@
+//! `/v1/scenes`
+
+use super::App;
+use super::extract::{Json, Path, Query};
+use super::problem::Problem;
+use crate::geometry::up_axis::UpAxis;
+use crate::ingest::archive::ArchiveKind;
+use crate::jobs::Job;
+use crate::service::{NewScene, ParsePreset, ParseSettings, Scene, SceneList};
+use axum::body::Body;
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use camino::Utf8Path;
+use serde::{Deserialize, Serialize};
+use tokio::fs::File;
+use tokio_util::io::ReaderStream;
+use utoipa::{IntoParams, ToSchema};
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct CreateParameters {
+    /// Name of the scene; default: what the archive calls itself.
+    #[param(max_length = 200)]
+    name: Option<String>,
+    /// `false` only stores the scan.
+    #[serde(default = "yes")]
+    #[param(default = true)]
+    parse: bool,
+    /// The axis that points up in the files, for archives that do not say; default: the axis the cameras hold up.
+    #[param(inline)]
+    up: Option<UpAxis>,
+    /// Settings to parse with.
+    #[serde(default)]
+    #[param(inline)]
+    preset: ParsePreset,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// A new scene and the job that parses it.
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct Created {
+    pub scene: Scene,
+    /// `null` when the scan was only stored.
+    pub job: Option<Job>,
+}
+
+/// Uploads a scan.
+///
+/// The body is the archive itself, streamed. It is checked before anything is stored; parsing then runs as a job.
+/// The same bytes under the same settings are parsed only once.
+#[utoipa::path(
+    post, path = "/v1/scenes", tag = "scenes",
+    params(CreateParameters, ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the scene it made")),
+    request_body(
+        content((Vec<u8> = "application/zip"), (Vec<u8> = "application/x-tar"), (Vec<u8> = "application/zstd")),
+        description = "Archive: scene.json layout, or color/ depth/ pose/ intrinsic.txt [cloud.ply]"
+    ),
+    responses(
+        (status = 202, body = Created),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn create(
+    State(app): State<App>,
+    Query(CreateParameters { name, parse, up, preset }): Query<CreateParameters>,
+    headers: HeaderMap,
+    request: Request,
+) -> Result<(StatusCode, axum::Json<Created>), Problem> {
+    let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
+    let media_type = header("content-type").unwrap_or_default();
+    let kind = ArchiveKind::of_media_type(media_type).ok_or_else(|| {
+        let known = [ArchiveKind::Zip, ArchiveKind::Tar, ArchiveKind::TarZst].map(ArchiveKind::media_type).join(", ");
+        let detail = format!("the content type of an upload must be one of {known}, not {media_type:?}");
+        Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail)
+    })?;
+    let mut settings = ParseSettings::from_request(preset, None)?;
+    settings.import.up = up;
+    let new = NewScene { name, kind, parse: parse.then_some(settings), idempotency_key: header("idempotency-key").map(str::to_owned) };
+    let (scene, job) = app.service.create_scene(new, request.into_body().into_data_stream()).await?;
+    Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
+}
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ListParameters {
+    /// Scenes per page.
+    #[serde(default = "default_limit")]
+    #[param(minimum = 1, maximum = 100, default = 20)]
+    limit: u32,
+    /// `next_cursor` of the page before.
+    cursor: Option<String>,
+}
+
+fn default_limit() -> u32 {
+    20
+}
+
+/// Lists scenes, newest first.
+#[utoipa::path(
+    get, path = "/v1/scenes", tag = "scenes", params(ListParameters),
+    responses(
+        (status = 200, body = SceneList),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn list(State(app): State<App>, Query(ListParameters { limit, cursor }): Query<ListParameters>) -> Result<axum::Json<SceneList>, Problem> {
+    if !(1..=100).contains(&limit) {
+        return Err(Problem::invalid("limit", "must be 1 to 100"));
+    }
+    Ok(axum::Json(app.service.scenes(limit, cursor.as_deref()).await?))
+}
+
+/// One scene.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}", tag = "scenes", params(("scene_id" = String, Path)),
+    responses(
+        (status = 200, body = Scene),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result<axum::Json<Scene>, Problem> {
+    Ok(axum::Json(app.service.scene(&scene_id).await?))
+}
+
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Rename {
+    #[schema(min_length = 1, max_length = 200)]
+    name: String,
+}
+
+/// Renames a scene.
+#[utoipa::path(
+    patch, path = "/v1/scenes/{scene_id}", tag = "scenes", params(("scene_id" = String, Path)), request_body = Rename,
+    responses(
+        (status = 200, body = Scene),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn rename(State(app): State<App>, Path(scene_id): Path<String>, Json(Rename { name }): Json<Rename>) -> Result<axum::Json<Scene>, Problem> {
+    Ok(axum::Json(app.service.rename_scene(&scene_id, &name).await?))
+}
+
+/// Deletes a scene with its answers.
+#[utoipa::path(
+    delete, path = "/v1/scenes/{scene_id}", tag = "scenes", params(("scene_id" = String, Path)),
+    responses(
+        (status = 204, description = "Gone"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn delete(State(app): State<App>, Path(scene_id): Path<String>) -> Result<StatusCode, Problem> {
+    app.service.delete_scene(&scene_id).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+/// How to parse. An empty object parses with the default settings.
+#[derive(Debug, Default, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ParseRequest {
+    preset: ParsePreset,
+    /// Single values that replace those of the preset, e.g. `{"parsing": {"superpoints": {"voxel_m": 0.02}}}`.
+    #[schema(value_type = Option<ParseSettings>)]
+    settings: Option<serde_json::Value>,
+}
+
+/// Parses a scene again, into a new version. Questions use the old one until the new one is ready.
+#[utoipa::path(
+    post, path = "/v1/scenes/{scene_id}/parse", tag = "scenes", params(("scene_id" = String, Path)), request_body = ParseRequest,
+    responses(
+        (status = 202, body = Job),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn parse(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    Json(ParseRequest { preset, settings }): Json<ParseRequest>,
+) -> Result<(StatusCode, axum::Json<Job>), Problem> {
+    let settings = ParseSettings::from_request(preset, settings)?;
+    Ok((StatusCode::ACCEPTED, axum::Json(app.service.start_parse(&scene_id, &settings).await?)))
+}
+
+/// The cloud in its own colours, PLY.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}/cloud.ply", tag = "scenes", params(("scene_id" = String, Path)),
+    responses(
+        (status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Problem> {
+    let file = app.service.parse_file(&scene_id, "cloud.ply").await?;
+    send_file(&file, "application/octet-stream").await
+}
+
+/// The cloud coloured by instance, PLY; each point carries its instance id.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}/instances.ply", tag = "scenes", params(("scene_id" = String, Path)),
+    responses(
+        (status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Problem> {
+    let file = app.service.parse_file(&scene_id, "instances.ply").await?;
+    send_file(&file, "application/octet-stream").await
+}
+
+/// Streams a stored file.
+pub(super) async fn send_file(path: &Utf8Path, media_type: &'static str) -> Result<Response, Problem> {
+    let file = File::open(path).await.map_err(crate::error::Error::Io)?;
+    let length = file.metadata().await.map_err(crate::error::Error::Io)?.len();
+    let headers = [(header::CONTENT_TYPE, media_type.to_owned()), (header::CONTENT_LENGTH, length.to_string())];
+    Ok((headers, Body::from_stream(ReaderStream::new(file))).into_response())
+}
