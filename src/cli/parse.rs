@@ -2,11 +2,12 @@
 
 use crate::geometry::up_axis::UpAxis;
 use crate::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
-use crate::ingest::{self, ImportSettings};
+use crate::ingest;
 use crate::progress::Progress;
 use crate::scene::{ImportReport, Instance, ParseReport, write_instances_ply};
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
-use crate::scene_parsing::{self, ParsingSettings};
+use crate::scene_parsing;
+use crate::service::{ParsePreset, ParseSettings};
 use anyhow::Context;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Serialize;
@@ -20,7 +21,10 @@ pub struct ParseArgs {
     /// Write report.json, instances.json and instances.ply here
     #[arg(long, value_name = "FOLDER")]
     report: Option<Utf8PathBuf>,
-    /// Settings of stage 1 as JSON; what is left out keeps its default
+    /// Where settings start from
+    #[arg(long, value_enum, default_value_t)]
+    preset: ParsePreset,
+    /// Single values that replace those of the preset, as JSON: the `settings` of the HTTP parse request
     #[arg(long, value_name = "FILE")]
     settings: Option<Utf8PathBuf>,
     /// The axis that points up in the scan: x, -x, y, -y, z or -z
@@ -42,22 +46,21 @@ fn parse_up(text: &str) -> Result<UpAxis, String> {
 }
 
 pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
-    let settings = match &args.settings {
-        Some(file) => serde_json::from_str(&fs::read_to_string(file).with_context(|| file.to_string())?).with_context(|| file.to_string())?,
-        None => ParsingSettings::default(),
+    let overrides = match &args.settings {
+        Some(file) => Some(serde_json::from_str(&fs::read_to_string(file).with_context(|| file.to_string())?).with_context(|| file.to_string())?),
+        None => None,
     };
-    if let Err((pointer, expected)) = settings.check() {
-        anyhow::bail!("settings: {pointer} must be {expected}");
-    }
+    let mut settings = ParseSettings::from_request(args.preset, overrides)?;
+    settings.import.up = args.up.or(settings.import.up);
+    let ParseSettings { import, parsing } = settings;
     let unpacked = tempfile::tempdir()?;
     let folder = if args.scan.is_dir() { args.scan.clone() } else { unpack_archive(&args.scan, unpacked.path().try_into()?)? };
 
     let progress = Progress::new(|stage, done| eprint!("\r{:>5.1} % {stage:<24}", done * 100.0), CancellationToken::new());
-    let import = ImportSettings { up: args.up, ..ImportSettings::default() };
     let bundle = ingest::load(&ingest::open(&folder)?, &import, &progress.part(0.0, 0.3))?;
     let import = bundle.report.clone();
-    let masks = RgbdMasks { settings: settings.rgbd_masks };
-    let parsed = scene_parsing::parse(bundle, &masks, &settings, &progress.part(0.3, 1.0))?;
+    let masks = RgbdMasks { settings: parsing.rgbd_masks };
+    let parsed = scene_parsing::parse(bundle, &masks, &parsing, &progress.part(0.3, 1.0))?;
     eprintln!("\r100.0 % {:<24}", "done");
 
     let report = Report { import: &import, parse: &parsed.report };

@@ -1,7 +1,7 @@
 //! A cloud from posed depth: voxel grid with running means, for scans that bring no cloud of their own.
 
 use super::IngestError;
-use crate::geometry::Point3;
+use crate::geometry::{Point3, Vector3};
 use crate::geometry::voxels::{VoxelKey, VoxelMap};
 use crate::progress::Progress;
 use crate::scene::{Frame, FrameRef, PointCloud, stream_frames};
@@ -15,21 +15,24 @@ pub struct FusionSettings {
     pub voxel_m: f32,
     /// Depth beyond this is not fused, metres: consumer sensors are noise out there.
     pub max_depth_m: f32,
+    /// A voxel needs this many measurements to become a point: single ones are mostly noise.
+    pub min_measurements: u32,
     /// A pixel whose depth differs from a neighbour's by more than this share lies on a silhouette, where sensors smear.
     pub silhouette_tolerance: f32,
 }
 
 impl Default for FusionSettings {
     fn default() -> Self {
-        Self { voxel_m: 0.015, max_depth_m: 8.0, silhouette_tolerance: 0.05 }
+        Self { voxel_m: 0.02, max_depth_m: 8.0, min_measurements: 3, silhouette_tolerance: 0.05 }
     }
 }
 
-/// Sum of the measurements that fell into one voxel, positions relative to the voxel's centre.
+/// Weighted sums of the measurements that fell into one voxel, positions relative to the voxel's centre.
 #[derive(Default, Clone, Copy)]
 struct Cell {
     offset: [f32; 3],
-    colour: [u32; 3],
+    colour: [f32; 3],
+    weight: f32,
     count: u32,
 }
 
@@ -50,6 +53,7 @@ pub fn fuse(frames: &[FrameRef], settings: &FusionSettings, progress: &Progress)
                     sum.offset[axis] += cell.offset[axis];
                     sum.colour[axis] += cell.colour[axis];
                 }
+                sum.weight += cell.weight;
                 sum.count += cell.count;
             }
             Ok(())
@@ -58,13 +62,12 @@ pub fn fuse(frames: &[FrameRef], settings: &FusionSettings, progress: &Progress)
     if cells.is_empty() {
         return Err(IngestError::NoUsableFrames { reason: "no depth picture holds a measurement".into() });
     }
-    let mut sorted: Vec<_> = cells.into_iter().collect();
+    let mut sorted: Vec<_> = cells.into_iter().filter(|(_, cell)| cell.count >= settings.min_measurements).collect();
     sorted.sort_unstable_by_key(|(key, _)| *key);
     let mut cloud = PointCloud::default();
     for (key, cell) in sorted {
-        let count = cell.count as f32;
-        cloud.positions.push(key.center(settings.voxel_m) + nalgebra::Vector3::from(cell.offset) / count);
-        cloud.colours.push(cell.colour.map(|sum| (sum as f32 / count).round() as u8));
+        cloud.positions.push(key.center(settings.voxel_m) + Vector3::from(cell.offset) / cell.weight);
+        cloud.colours.push(cell.colour.map(|sum| (sum / cell.weight).round() as u8));
     }
     Ok(cloud)
 }
@@ -88,10 +91,13 @@ fn frame_cells(frame: &Frame, settings: &FusionSettings) -> Vec<(VoxelKey, Cell)
             let offset = p - key.center(settings.voxel_m);
             let colour = colours[(v * width + u) as usize];
             let cell = cells.entry(key).or_default();
+            // A depth sensor's noise grows with the square of the distance: near looks count more.
+            let weight = 1.0 / (z_m * z_m).max(0.01);
             for axis in 0..3 {
-                cell.offset[axis] += offset[axis];
-                cell.colour[axis] += u32::from(colour[axis]);
+                cell.offset[axis] += offset[axis] * weight;
+                cell.colour[axis] += f32::from(colour[axis]) * weight;
             }
+            cell.weight += weight;
             cell.count += 1;
         }
     }

@@ -62,7 +62,7 @@ pub struct View {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct NameGuess {
     pub name: String,
-    /// How well the name fits, `0..=1`.
+    /// How well the name fits and how usual such a thing is, `0..=1`.
     pub score: f32,
 }
 

@@ -37,7 +37,7 @@ pub struct ParseSettings {
 }
 
 /// Where settings start from; given settings then replace single values.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum ParsePreset {
     /// What measures best over several rooms.
@@ -85,6 +85,7 @@ impl ParseSettings {
     fn check(&self) -> Result<(), Error> {
         let fusion = &self.import.fusion;
         for (pointer, fine, expected) in [
+            ("/min_measurements", fusion.min_measurements > 0, "at least 1"),
             ("/voxel_m", (0.001..=1.0).contains(&fusion.voxel_m), "0.001 to 1 metres"),
             ("/max_depth_m", fusion.max_depth_m.is_finite() && fusion.max_depth_m > 0.0, "above 0"),
             ("/silhouette_tolerance", fusion.silhouette_tolerance.is_finite() && fusion.silhouette_tolerance > 0.0, "above 0"),

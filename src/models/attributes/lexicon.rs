@@ -21,6 +21,14 @@ impl Range {
         (low / value).ln().max((value / high).ln()).max(0.0)
     }
 
+    /// How far `value` lies from the middle: 0 there, 1 at the ends and beyond; in logarithms.
+    #[must_use]
+    pub fn off_center(&self, value: f32) -> f32 {
+        let [low, high, value] = [self.low, self.high, value].map(|v| v.max(RESOLUTION_M).ln());
+        let half = (high - low) / 2.0;
+        if half <= 0.0 { 0.0 } else { ((value - f32::midpoint(low, high)) / half).abs().min(1.0) }
+    }
+
     /// How far `value` lies outside, metres; 0 inside.
     #[must_use]
     pub fn misfit(&self, value: f32) -> f32 {
@@ -53,6 +61,8 @@ pub struct Noun {
     pub height: Range,
     pub base: Range,
     places: Vec<Place>,
+    /// How often such a thing is met, `0..=1`, against the most common ones.
+    pub prior: f32,
 }
 
 impl Noun {
@@ -136,7 +146,7 @@ impl Lexicon {
 
 fn read_line(line: &str) -> Option<Noun> {
     let columns: Vec<&str> = line.split('\t').collect();
-    let [name, synonyms, kinds, long, short, height, base, support] = columns[..] else { return None };
+    let [name, synonyms, kinds, long, short, height, base, support, usual] = columns[..] else { return None };
     let words = |list: &str| list.split(',').map(str::trim).filter(|w| !w.is_empty()).map(str::to_owned).collect::<Vec<_>>();
     let places = words(support)
         .iter()
@@ -156,6 +166,12 @@ fn read_line(line: &str) -> Option<Noun> {
         height: range(height)?,
         base: range(base)?,
         places,
+        prior: match usual {
+            "common" => 1.0,
+            "usual" => 0.8,
+            "rare" => 0.6,
+            _ => return None,
+        },
     })
 }
 

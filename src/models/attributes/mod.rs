@@ -19,12 +19,14 @@ const KEPT_NAMES: usize = 5;
 const MIN_NAME_SCORE: f32 = 0.3;
 /// Width of the fall-off outside a range, in natural logarithms of the size: segmentation is never exact.
 const SIZE_TOLERANCE: f32 = 0.2;
-/// The same for the height of the underside, metres.
+/// Tolerance for the height of the underside, metres.
 const BASE_TOLERANCE_M: f32 = 0.12;
+/// The middle of a range is more usual than its ends: weight of that, against one tolerance outside the range.
+const OFF_CENTER_WEIGHT: f32 = 0.1;
 /// Factor for a support the noun is not known for.
 const ODD_SUPPORT: f32 = 0.6;
 
-/// How well a noun fits an instance, `0..=1`: one when every measure lies in its usual range.
+/// How well a noun fits an instance, `0..=1`: one when every measure lies in the middle of its usual range.
 #[must_use]
 pub fn noun_fit(noun: &Noun, instance: &Instance) -> f32 {
     if instance.structure.is_some_and(|s| s != Structure::Wall || !noun.may_be_part_of_wall()) {
@@ -39,6 +41,8 @@ pub fn noun_fit(noun: &Noun, instance: &Instance) -> f32 {
         .chain([noun.base.misfit(instance.height_above_floor_m) / BASE_TOLERANCE_M])
         .map(|m| m * m)
         .sum::<f32>();
+    let off_center: f32 = [(noun.long, long), (noun.short, short), (noun.height, height)].iter().map(|(range, v)| range.off_center(*v).powi(2)).sum();
+    let misfit = misfit + OFF_CENTER_WEIGHT * off_center;
     let support = if noun.stands_on(place_of(instance)) { 1.0 } else { ODD_SUPPORT };
     (-0.5 * misfit).exp() * support
 }
@@ -51,7 +55,8 @@ pub fn colour_fit(colour: ColourName, instance: &Instance) -> f32 {
 
 /// The best names for an instance, without having heard a question; empty for structure and for shapes nothing fits.
 ///
-/// Of nouns that fit alike the one with the narrower ranges comes first: it says more.
+/// Scores are fits weighed by how usual the thing is. Of nouns that fit alike the one with the narrower ranges comes first:
+/// it says more.
 #[must_use]
 pub fn name_guesses(instance: &Instance) -> Vec<NameGuess> {
     if instance.structure.is_some() {
@@ -60,7 +65,7 @@ pub fn name_guesses(instance: &Instance) -> Vec<NameGuess> {
     let mut scored: Vec<(f32, &Noun)> = Lexicon::get()
         .nouns()
         .iter()
-        .map(|noun| (noun_fit(noun, instance), noun))
+        .map(|noun| (noun_fit(noun, instance) * noun.prior, noun))
         .filter(|(fit, _)| *fit >= MIN_NAME_SCORE)
         .collect();
     scored.sort_by(|a, b| (b.0 * b.1.specificity()).total_cmp(&(a.0 * a.1.specificity())).then(a.1.name.cmp(&b.1.name)));

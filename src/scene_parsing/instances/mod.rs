@@ -26,7 +26,7 @@ pub struct InstanceSettings {
 
 impl Default for InstanceSettings {
     fn default() -> Self {
-        Self { trim: 0.005, stray_neighbours: 4, stray_voxel_m: 0.03 }
+        Self { trim: 0.001, stray_neighbours: 4, stray_voxel_m: 0.03 }
     }
 }
 

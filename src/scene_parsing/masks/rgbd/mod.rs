@@ -48,7 +48,7 @@ impl Default for RgbdSettings {
             convex_edge_deg: 60.0,
             patch_scale: 30.0,
             min_patch_pixels: 20,
-            join_cost: 0.6,
+            join_cost: 0.8,
             join_colour: 25.0,
             join_concave_deg: 60.0,
             plane_area_m2: 0.35,

@@ -103,12 +103,12 @@ fn cost(a: &Region, b: &Region, border: &Border, settings: &RgbdSettings) -> f32
 const SAME_PLANE_DEG: f32 = 8.0;
 
 impl Region {
-    /// Points stay within a few percent of the patch's own spread from its plane.
+    /// Points stay as close to their plane as sensor noise, which grows with distance squared, lets them.
     fn is_flat(&self) -> bool {
         let mean = self.mean / self.pixels;
         let covariance = self.moments / self.pixels - mean * mean.transpose();
         let eigen = SymmetricEigen::new(covariance).eigenvalues;
-        eigen.min().max(0.0).sqrt() < 0.012 + 0.005 * mean.z
+        eigen.min().max(0.0).sqrt() < 0.01 + 0.004 * mean.z * mean.z
     }
 }
 
