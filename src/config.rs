@@ -8,6 +8,10 @@ use camino::Utf8PathBuf;
 use std::fs;
 use std::net::SocketAddr;
 
+const DEFAULT_MAX_UPLOAD_BYTES: u64 = 16 << 30;
+const DEFAULT_MAX_QUEUED_JOBS: u32 = 100;
+const DEFAULT_MAX_CONCURRENT_QUESTIONS: u32 = 32;
+
 /// `uniground serve`
 #[derive(Debug, Clone, clap::Args)]
 pub struct ServeConfig {
@@ -40,16 +44,16 @@ pub struct AccessConfig {
 #[derive(Debug, Clone, clap::Args)]
 pub struct LimitsConfig {
     /// Largest upload accepted, bytes
-    #[arg(long, env = "UNIGROUND_MAX_UPLOAD_BYTES", default_value_t = 16 << 30)]
+    #[arg(long, env = "UNIGROUND_MAX_UPLOAD_BYTES", default_value_t = DEFAULT_MAX_UPLOAD_BYTES)]
     pub max_upload_bytes: u64,
     /// Largest size an archive may unpack to, bytes
     #[arg(long, env = "UNIGROUND_MAX_UNPACKED_BYTES", default_value_t = UnpackLimits::default().max_bytes)]
     pub max_unpacked_bytes: u64,
     /// Parses that may wait; more uploads are told to come back later
-    #[arg(long, env = "UNIGROUND_MAX_QUEUED_JOBS", default_value_t = 100)]
+    #[arg(long, env = "UNIGROUND_MAX_QUEUED_JOBS", default_value_t = DEFAULT_MAX_QUEUED_JOBS)]
     pub max_queued_jobs: u32,
     /// Questions answered at once
-    #[arg(long, env = "UNIGROUND_MAX_CONCURRENT_QUESTIONS", default_value_t = 32, value_parser = clap::value_parser!(u32).range(1..=4096))]
+    #[arg(long, env = "UNIGROUND_MAX_CONCURRENT_QUESTIONS", default_value_t = DEFAULT_MAX_CONCURRENT_QUESTIONS, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub max_concurrent_questions: u32,
 }
 
@@ -64,6 +68,17 @@ pub struct LogConfig {
 pub enum LogFormat {
     Text,
     Json,
+}
+
+impl Default for LimitsConfig {
+    fn default() -> Self {
+        Self {
+            max_upload_bytes: DEFAULT_MAX_UPLOAD_BYTES,
+            max_unpacked_bytes: UnpackLimits::default().max_bytes,
+            max_queued_jobs: DEFAULT_MAX_QUEUED_JOBS,
+            max_concurrent_questions: DEFAULT_MAX_CONCURRENT_QUESTIONS,
+        }
+    }
 }
 
 impl LimitsConfig {

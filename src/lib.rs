@@ -1,5 +1,6 @@
 //! uniground: 3D visual grounding as a service.
 pub mod app;
+pub mod client;
 pub mod config;
 pub mod error;
 pub mod geometry;

@@ -1,8 +1,11 @@
 //! The command line: one file per subcommand.
 
+mod demo;
+mod ground;
 mod openapi;
 mod parse;
 mod serve;
+mod table;
 
 use crate::config::ServeConfig;
 use clap::{Parser, Subcommand};
@@ -18,6 +21,10 @@ pub struct Cli {
 enum Command {
     /// Run the service
     Serve(ServeConfig),
+    /// Show the whole job on the sample scene
+    Demo(demo::DemoArgs),
+    /// Ask a running server one question
+    Ground(ground::GroundArgs),
     /// Cut a scan into instances, without a server
     Parse(parse::ParseArgs),
     /// Print the OpenAPI description of the service
@@ -31,6 +38,8 @@ enum Command {
 pub fn run(cli: &Cli) -> anyhow::Result<()> {
     match &cli.command {
         Command::Serve(config) => asynchronous(serve::run(config)),
+        Command::Demo(args) => asynchronous(demo::run(args)),
+        Command::Ground(args) => asynchronous(ground::run(args)),
         Command::Parse(args) => parse::run(args),
         Command::Openapi => openapi::run(),
     }

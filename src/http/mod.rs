@@ -11,12 +11,14 @@ mod problem;
 mod scenes;
 
 pub use auth::ApiKey;
+pub use health::Readiness;
+pub use problem::{FieldError, Problem};
+pub use scenes::Created;
 use auth::BearerAuth;
 
 use crate::service::Service;
 use axum::http::HeaderName;
 use axum::{Router, middleware};
-use problem::Problem;
 use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;

@@ -46,6 +46,8 @@ pub enum Place {
     Floor,
     Surface,
     Wall,
+    /// On legs that a scan often loses: the top may seem to float.
+    Legs,
     Unknown,
 }
 
@@ -68,7 +70,13 @@ pub struct Noun {
 impl Noun {
     #[must_use]
     pub fn stands_on(&self, place: Place) -> bool {
-        place == Place::Unknown || self.places.contains(&place)
+        place == Place::Unknown || self.on_legs() || self.places.contains(&place)
+    }
+
+    /// Whether the height that counts is that of the top above the floor.
+    #[must_use]
+    pub fn on_legs(&self) -> bool {
+        self.places.contains(&Place::Legs)
     }
 
     /// Doors, windows and pictures are often cut as one plane with their wall.
@@ -154,6 +162,7 @@ fn read_line(line: &str) -> Option<Noun> {
             "floor" => Some(Place::Floor),
             "surface" => Some(Place::Surface),
             "wall" => Some(Place::Wall),
+            "legs" => Some(Place::Legs),
             _ => None,
         })
         .collect::<Option<_>>()?;

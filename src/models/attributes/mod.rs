@@ -33,7 +33,7 @@ pub fn noun_fit(noun: &Noun, instance: &Instance) -> f32 {
         return 0.0;
     }
     let (long, short) = sides(instance);
-    let height = instance.aabb.size.z;
+    let height = if noun.on_legs() { instance.height_above_floor_m + instance.aabb.size.z } else { instance.aabb.size.z };
     let misfit = [noun.long, noun.short, noun.height]
         .iter()
         .zip([long, short, height])
@@ -129,6 +129,13 @@ pub(crate) mod tests {
             let guesses = name_guesses(&thing(1, [0.0, 0.0], size, base, support, [120; 3]));
             assert!(guesses.iter().take(3).any(|g| g.name == expected), "{size:?}: {guesses:?}");
         }
+    }
+
+    #[test]
+    fn a_table_that_lost_its_legs_is_still_a_table() {
+        let top = thing(1, [0.0, 0.0], [1.2, 0.7, 0.03], 0.42, Support::Nothing, [20; 3]);
+        let fit = |word| noun_fit(Lexicon::get().find(word).unwrap(), &top);
+        assert!(fit("coffee table") > 0.9 && fit("dining table") < 0.2, "{} {}", fit("coffee table"), fit("dining table"));
     }
 
     #[test]

@@ -1,0 +1,137 @@
+//! `uniground demo`: the whole job on the sample scene, against a real server on a free loopback port.
+
+use super::{ground, table};
+use crate::app;
+use crate::client::Client;
+use crate::config::{AccessConfig, LogConfig, LogFormat, ServeConfig};
+use crate::grounding::Status;
+use crate::ingest::archive::ArchiveKind;
+use crate::jobs::Job;
+use crate::service::{Answer, Scene};
+use crate::store::JobState;
+use crate::telemetry;
+use anyhow::{Context, bail};
+use camino::{Utf8Path, Utf8PathBuf};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::fs;
+use std::io::IsTerminal;
+use std::net::{Ipv4Addr, SocketAddr};
+use std::time::{Duration, Instant};
+
+#[derive(Debug, clap::Args)]
+pub struct DemoArgs {
+    /// The scan to show
+    #[arg(long, default_value = "examples/living_room.zip")]
+    scene: Utf8PathBuf,
+    /// Ask this instead of the four sample questions; may be given several times
+    #[arg(long = "ask", value_name = "QUESTION")]
+    questions: Vec<String>,
+    /// Write pictures here
+    #[arg(long, default_value = "demo-out", value_name = "FOLDER")]
+    out: Utf8PathBuf,
+}
+
+/// One unique object, one attribute, one relation, and one that is not in the room.
+const QUESTIONS: [&str; 4] = ["find the television", "the orange stool", "the mug on the coffee table", "the green fridge"];
+/// How many of the found objects are listed.
+const LISTED: usize = 12;
+
+pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
+    telemetry::start_quiet();
+    let data = tempfile::tempdir()?;
+    let config = ServeConfig {
+        listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
+        data_dir: Utf8PathBuf::try_from(data.path().to_owned())?,
+        access: AccessConfig::default(),
+        limits: crate::config::LimitsConfig::default(),
+        log: LogConfig { log_format: LogFormat::Text },
+    };
+    let running = app::start(&config).await?;
+    println!("uniground {} on http://{}, data in a fresh folder\n", env!("CARGO_PKG_VERSION"), running.address);
+    let shown = show(args, &Client::new(&format!("http://{}", running.address), None)?).await;
+    running.stop().await?;
+    shown?;
+    println!("The service has stopped.");
+    Ok(())
+}
+
+async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
+    let scene = upload(client, &args.scene).await?;
+    print_found(client, &scene).await?;
+    fs::create_dir_all(&args.out).with_context(|| args.out.to_string())?;
+    let samples = QUESTIONS.map(str::to_owned).to_vec();
+    let questions = if args.questions.is_empty() { &samples } else { &args.questions };
+    let mut pictures = Vec::new();
+    for (i, question) in questions.iter().enumerate() {
+        let answer = client.ground(&scene.id, &ground::question(question, 5)).await?;
+        println!("{}\n", table::of_answer(&answer));
+        if answer.status == Status::Ambiguous {
+            println!("{}\n", table::of_alternatives(&answer.alternatives));
+        }
+        if let Some(path) = save_picture(client, &answer, &args.out, i + 1).await? {
+            pictures.push(path);
+        }
+    }
+    println!("Names come from sizes and colours only: no model was used. Pictures of the room with each answer's box:");
+    pictures.iter().for_each(|path| println!("  {path}"));
+    Ok(())
+}
+
+async fn upload(client: &Client, archive: &Utf8Path) -> anyhow::Result<Scene> {
+    let kind = ArchiveKind::of_file_name(archive.as_str()).with_context(|| format!("{archive}: expected .zip, .tar or .tar.zst"))?;
+    let bytes = fs::read(archive).with_context(|| archive.to_string())?;
+    println!("Uploading {archive} ({:.1} MB)", bytes.len() as f64 / 1e6);
+    let start = Instant::now();
+    let created = client.create_scene(None, kind.media_type(), bytes).await?;
+    let job = created.job.context("the server did not start to parse")?;
+    let bar = progress_bar();
+    let job = client.follow_job(&job.id, |job| advance(&bar, job)).await?;
+    bar.finish_and_clear();
+    match (job.state, job.error) {
+        (JobState::Succeeded, _) => {
+            println!("Parsed in {:.1} s: {}\n", start.elapsed().as_secs_f32(), job.message.unwrap_or_default());
+            Ok(client.scene(&created.scene.id).await?)
+        }
+        (_, Some(error)) => bail!("parsing failed: {} ({})", error.detail, error.code),
+        (state, None) => bail!("parsing ended as {state:?}"),
+    }
+}
+
+/// A live bar on a terminal; a line now and then elsewhere.
+fn progress_bar() -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(1000), ProgressDrawTarget::stderr());
+    // The template is a constant: it parses or the demo's own test fails.
+    if let Ok(style) = ProgressStyle::with_template("{bar:40} {percent:>3}%  {msg}") {
+        bar.set_style(style);
+    }
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
+fn advance(bar: &ProgressBar, job: &Job) {
+    let eta = job.eta_s.map_or_else(|| "estimating".to_owned(), |s| format!("{s:.1} s left"));
+    let stage = job.stage.as_deref().unwrap_or("queued");
+    bar.set_position((job.progress * 1000.0) as u64);
+    bar.set_message(format!("{stage:<20} {eta}"));
+    if !std::io::stderr().is_terminal() {
+        eprintln!("{:>5.1}%  {stage:<20} {eta}", job.progress * 100.0);
+    }
+}
+
+async fn print_found(client: &Client, scene: &Scene) -> anyhow::Result<()> {
+    let instances = client.instances(&scene.id, 1000).await?.instances;
+    let objects = instances.iter().filter(|i| i.structure.is_none());
+    println!("Found {} objects and {} parts of the building; the largest objects:", objects.clone().count(), instances.len() - objects.clone().count());
+    println!("{}\n", table::of_instances(objects.take(LISTED)));
+    Ok(())
+}
+
+async fn save_picture(client: &Client, answer: &Answer, out: &Utf8Path, number: usize) -> anyhow::Result<Option<Utf8PathBuf>> {
+    if answer.status == Status::NoMatch {
+        return Ok(None);
+    }
+    let Some(picture) = answer.evidence.iter().flatten().next() else { return Ok(None) };
+    let path = out.join(format!("answer-{number}.jpg"));
+    fs::write(&path, client.bytes(picture).await?).with_context(|| path.to_string())?;
+    Ok(Some(path))
+}

@@ -1,0 +1,53 @@
+//! `uniground ground`: one question to a running server.
+
+use super::table;
+use crate::client::Client;
+use crate::grounding::Status;
+use crate::service::{GroundRequest, ReasonerChoice};
+
+#[derive(Debug, clap::Args)]
+pub struct GroundArgs {
+    /// What to find, in plain English
+    query: String,
+    /// Id of a parsed scene
+    #[arg(long)]
+    scene: String,
+    /// Address of the server
+    #[arg(long, env = "UNIGROUND_SERVER", default_value = "http://127.0.0.1:8080")]
+    server: String,
+    /// Candidates to keep
+    #[arg(long, default_value_t = 5)]
+    top_k: u32,
+    /// Print the answer as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
+    let client = Client::new(&args.server, std::env::var("UNIGROUND_API_KEY").ok())?;
+    let answer = client.ground(&args.scene, &question(&args.query, args.top_k)).await?;
+    if args.json {
+        println!("{}", serde_json::to_string_pretty(&answer)?);
+    } else {
+        println!("{}", table::of_answer(&answer));
+        if answer.status == Status::Ambiguous {
+            println!("{}", table::of_alternatives(&answer.alternatives));
+        }
+    }
+    Ok(())
+}
+
+/// A question with everything else at its default.
+pub(super) fn question(query: &str, top_k: u32) -> GroundRequest {
+    GroundRequest {
+        query: query.to_owned(),
+        top_k,
+        reasoner: ReasonerChoice::default(),
+        ablation: crate::service::Ablation::default(),
+        direction_convention: crate::grounding::direction::DirectionConvention::default(),
+        observer: None,
+        include: None,
+        max_cost_usd: None,
+        timeout_s: None,
+    }
+}

@@ -1,0 +1,67 @@
+//! Answers as tables people can read.
+
+use crate::geometry::boxes::Aabb;
+use crate::grounding::{Alternative, Status};
+use crate::service::{Answer, InstanceView};
+use comfy_table::{ContentArrangement, Table, presets};
+
+const WIDTH: u16 = 110;
+
+/// The six fields, box, status and time of one answer.
+pub fn of_answer(answer: &Answer) -> Table {
+    let fields = &answer.answer;
+    let or_none = |text: Option<String>| text.unwrap_or_else(|| "none".into());
+    let names = fields.candidate_names.iter().map(|(id, name)| format!("{id}: {name}")).collect::<Vec<_>>().join(", ");
+    let status = match answer.status {
+        Status::Grounded => "grounded",
+        Status::Ambiguous => "ambiguous",
+        Status::NoMatch => "no match",
+    };
+    let matches = fields.target_name_matches.map(|yes| if yes { "yes" } else { "no" }.to_owned());
+    let mut table = empty();
+    table.set_header(vec!["Question".to_owned(), answer.query.clone()]);
+    table.add_row(vec!["Status".to_owned(), format!("{status} (confidence {:.2})", answer.confidence)]);
+    table.add_row(vec!["Predicted ID".to_owned(), or_none(fields.predicted_id.map(|id| id.to_string()))]);
+    table.add_row(vec!["Explanation".to_owned(), fields.explanation.clone()]);
+    table.add_row(vec!["Candidate Names".to_owned(), if names.is_empty() { "none".into() } else { names }]);
+    table.add_row(vec!["Target name matches?".to_owned(), or_none(matches)]);
+    table.add_row(vec!["Anchor ID".to_owned(), or_none(fields.anchor_id.map(|id| id.to_string()))]);
+    table.add_row(vec!["Relation used".to_owned(), or_none(fields.relation_used.clone())]);
+    table.add_row(vec!["Box (m, Z up)".to_owned(), or_none(answer.aabb.as_ref().map(of_box))]);
+    table.add_row(vec!["Time".to_owned(), format!("{:.2} ms", answer.timings_ms.total)]);
+    table
+}
+
+/// The tied objects of an ambiguous answer.
+pub fn of_alternatives(alternatives: &[Alternative]) -> Table {
+    let mut table = empty();
+    table.set_header(vec!["Could be", "Belief", "Box (m, Z up)"]);
+    for alternative in alternatives {
+        table.add_row(vec![alternative.id.to_string(), format!("{:.2}", alternative.confidence), of_box(&alternative.aabb)]);
+    }
+    table
+}
+
+/// The largest objects of a scene.
+pub fn of_instances<'a>(instances: impl Iterator<Item = &'a InstanceView>) -> Table {
+    let mut table = empty();
+    table.set_header(vec!["ID", "Looks like", "Colours", "Points", "Box (m, Z up)"]);
+    for instance in instances {
+        let mut colours: Vec<_> = instance.colours.iter().collect();
+        colours.sort_by(|a, b| b.1.total_cmp(a.1));
+        let colours = colours.iter().take(2).map(|(name, share)| format!("{name} {:.0}%", *share * 100.0)).collect::<Vec<_>>().join(", ");
+        table.add_row(vec![instance.id.to_string(), instance.label.clone(), colours, instance.point_count.to_string(), of_box(&instance.aabb)]);
+    }
+    table
+}
+
+fn of_box(aabb: &Aabb) -> String {
+    let (c, s) = (aabb.center, aabb.size);
+    format!("center ({:.2}, {:.2}, {:.2}) size {:.2} x {:.2} x {:.2}", c.x, c.y, c.z, s.x, s.y, s.z)
+}
+
+fn empty() -> Table {
+    let mut table = Table::new();
+    table.load_preset(presets::UTF8_FULL_CONDENSED).set_content_arrangement(ContentArrangement::Dynamic).set_width(WIDTH);
+    table
+}
