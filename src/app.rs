@@ -29,7 +29,9 @@ pub struct RunningService {
 /// When the address, the data folder or the key can not be used.
 pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     let api_key = config.api_key()?.map(Arc::new);
-    let store = Store::open(&config.data_dir).await.with_context(|| format!("the data folder {}", config.data_dir))?;
+    let store = Store::open(&config.data_dir)
+        .await
+        .with_context(|| format!("the data folder {}", config.data_dir))?;
     let jobs = Jobs::new(store.clone(), config.limits.max_queued_jobs);
     let service = Service::new(store.clone(), jobs.clone(), config.limits.service_limits());
     let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;

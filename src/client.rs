@@ -44,7 +44,10 @@ impl Client {
     /// # Errors
     /// [`ClientError::BadAddress`].
     pub fn new(server: &str, api_key: Option<String>) -> Result<Self, ClientError> {
-        let base = Url::parse(server).ok().filter(|url| !url.cannot_be_a_base()).ok_or_else(|| ClientError::BadAddress(server.into()))?;
+        let base = Url::parse(server)
+            .ok()
+            .filter(|url| !url.cannot_be_a_base())
+            .ok_or_else(|| ClientError::BadAddress(server.into()))?;
         Ok(Self { http: reqwest::Client::new(), base, api_key })
     }
 
@@ -52,7 +55,12 @@ impl Client {
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn create_scene(&self, name: Option<&str>, media_type: &str, archive: impl Into<reqwest::Body>) -> Result<Created, ClientError> {
+    pub async fn create_scene(
+        &self,
+        name: Option<&str>,
+        media_type: &str,
+        archive: impl Into<reqwest::Body>,
+    ) -> Result<Created, ClientError> {
         let mut request = self.request(Method::POST, "v1/scenes").header("content-type", media_type).body(archive);
         if let Some(name) = name {
             request = request.query(&[("name", name)]);
@@ -69,7 +77,11 @@ impl Client {
     /// # Errors
     /// [`ClientError`].
     pub async fn scenes(&self, limit: u32, cursor: Option<&str>) -> Result<SceneList, ClientError> {
-        json(self.request(Method::GET, "v1/scenes").query(&[("limit", Some(limit.to_string())), ("cursor", cursor.map(str::to_owned))])).await
+        json(
+            self.request(Method::GET, "v1/scenes")
+                .query(&[("limit", Some(limit.to_string())), ("cursor", cursor.map(str::to_owned))]),
+        )
+        .await
     }
 
     /// # Errors

@@ -1,5 +1,6 @@
 //! uniground: 3D visual grounding as a service.
 pub mod app;
+pub mod cli;
 pub mod client;
 pub mod config;
 pub mod error;
@@ -16,4 +17,3 @@ pub mod scene_parsing;
 pub mod service;
 pub mod store;
 pub mod telemetry;
-pub mod cli;

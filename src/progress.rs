@@ -64,7 +64,10 @@ mod tests {
     fn nested_parts_add_up_and_cancelling_stops_them() {
         let seen = Arc::new(Mutex::new(Vec::new()));
         let cancel = CancellationToken::new();
-        let sink = { let seen = seen.clone(); move |stage, at| seen.lock().unwrap().push((stage, at)) };
+        let sink = {
+            let seen = seen.clone();
+            move |stage, at| seen.lock().unwrap().push((stage, at))
+        };
         let progress = Progress::new(sink, cancel.clone());
         progress.part(0.5, 1.0).part(0.0, 0.5).report("inner", 1.0).unwrap();
         assert_eq!(*seen.lock().unwrap(), [("inner", 0.75)]);

@@ -121,7 +121,11 @@ fn advance(bar: &ProgressBar, job: &Job) {
 async fn print_found(client: &Client, scene: &Scene) -> anyhow::Result<()> {
     let instances = client.instances(&scene.id, 1000).await?.instances;
     let objects = instances.iter().filter(|i| i.structure.is_none());
-    println!("Found {} objects and {} parts of the building; the largest objects:", objects.clone().count(), instances.len() - objects.clone().count());
+    println!(
+        "Found {} objects and {} parts of the building; the largest objects:",
+        objects.clone().count(),
+        instances.len() - objects.clone().count()
+    );
     println!("{}\n", table::of_instances(objects.take(LISTED)));
     Ok(())
 }

@@ -1,12 +1,12 @@
 //! `uniground parse`: stage 1 on a folder or an archive, without a server.
 
 use crate::geometry::up_axis::UpAxis;
-use crate::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use crate::ingest;
+use crate::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use crate::progress::Progress;
 use crate::scene::{ImportReport, Instance, ParseReport, write_instances_ply};
-use crate::scene_parsing::masks::rgbd::RgbdMasks;
 use crate::scene_parsing;
+use crate::scene_parsing::masks::rgbd::RgbdMasks;
 use crate::service::{ParsePreset, ParseSettings};
 use anyhow::Context;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -42,12 +42,17 @@ struct Report<'a> {
 }
 
 fn parse_up(text: &str) -> Result<UpAxis, String> {
-    UpAxis::ALL.into_iter().find(|axis| axis.name() == text).ok_or_else(|| "expected x, -x, y, -y, z or -z".into())
+    UpAxis::ALL
+        .into_iter()
+        .find(|axis| axis.name() == text)
+        .ok_or_else(|| "expected x, -x, y, -y, z or -z".into())
 }
 
 pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     let overrides = match &args.settings {
-        Some(file) => Some(serde_json::from_str(&fs::read_to_string(file).with_context(|| file.to_string())?).with_context(|| file.to_string())?),
+        Some(file) => {
+            Some(serde_json::from_str(&fs::read_to_string(file).with_context(|| file.to_string())?).with_context(|| file.to_string())?)
+        }
         None => None,
     };
     let mut settings = ParseSettings::from_request(args.preset, overrides)?;
@@ -79,13 +84,17 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
 }
 
 fn unpack_archive(archive: &Utf8Path, into: &Utf8Path) -> anyhow::Result<Utf8PathBuf> {
-    let kind = ArchiveKind::of_file_name(archive.as_str()).with_context(|| format!("{archive}: expected a folder, .zip, .tar or .tar.zst"))?;
+    let kind =
+        ArchiveKind::of_file_name(archive.as_str()).with_context(|| format!("{archive}: expected a folder, .zip, .tar or .tar.zst"))?;
     unpack(archive, kind, into, &UnpackLimits::default())?;
     Ok(into.to_owned())
 }
 
 fn print_summary(Report { import, parse }: &Report, instances: &[Instance]) {
-    println!("{} frames, {} points, {} superpoints, {} instances ({} structural)", parse.frames_used, parse.points, parse.superpoints, parse.instances, parse.structural);
+    println!(
+        "{} frames, {} points, {} superpoints, {} instances ({} structural)",
+        parse.frames_used, parse.points, parse.superpoints, parse.instances, parse.structural
+    );
     for stage in &parse.stages {
         println!("  {:<20} {:>7.2} s", stage.stage, stage.seconds);
     }
@@ -96,7 +105,15 @@ fn print_summary(Report { import, parse }: &Report, instances: &[Instance]) {
         let (center, size) = (instance.aabb.center, instance.aabb.size);
         println!(
             "  {:>3} {:<14} at ({:6.2} {:6.2} {:6.2}) size ({:.2} {:.2} {:.2}) {:>7} points",
-            instance.id, instance.label(), center.x, center.y, center.z, size.x, size.y, size.z, instance.point_count
+            instance.id,
+            instance.label(),
+            center.x,
+            center.y,
+            center.z,
+            size.x,
+            size.y,
+            size.z,
+            instance.point_count
         );
     }
 }

@@ -11,7 +11,12 @@ const WIDTH: u16 = 110;
 pub fn of_answer(answer: &Answer) -> Table {
     let fields = &answer.answer;
     let or_none = |text: Option<String>| text.unwrap_or_else(|| "none".into());
-    let names = fields.candidate_names.iter().map(|(id, name)| format!("{id}: {name}")).collect::<Vec<_>>().join(", ");
+    let names = fields
+        .candidate_names
+        .iter()
+        .map(|(id, name)| format!("{id}: {name}"))
+        .collect::<Vec<_>>()
+        .join(", ");
     let status = match answer.status {
         Status::Grounded => "grounded",
         Status::Ambiguous => "ambiguous",
@@ -49,8 +54,19 @@ pub fn of_instances<'a>(instances: impl Iterator<Item = &'a InstanceView>) -> Ta
     for instance in instances {
         let mut colours: Vec<_> = instance.colours.iter().collect();
         colours.sort_by(|a, b| b.1.total_cmp(a.1));
-        let colours = colours.iter().take(2).map(|(name, share)| format!("{name} {:.0}%", *share * 100.0)).collect::<Vec<_>>().join(", ");
-        table.add_row(vec![instance.id.to_string(), instance.label.clone(), colours, instance.point_count.to_string(), of_box(&instance.aabb)]);
+        let colours = colours
+            .iter()
+            .take(2)
+            .map(|(name, share)| format!("{name} {:.0}%", *share * 100.0))
+            .collect::<Vec<_>>()
+            .join(", ");
+        table.add_row(vec![
+            instance.id.to_string(),
+            instance.label.clone(),
+            colours,
+            instance.point_count.to_string(),
+            of_box(&instance.aabb),
+        ]);
     }
     table
 }
@@ -62,6 +78,9 @@ fn of_box(aabb: &Aabb) -> String {
 
 fn empty() -> Table {
     let mut table = Table::new();
-    table.load_preset(presets::UTF8_FULL_CONDENSED).set_content_arrangement(ContentArrangement::Dynamic).set_width(WIDTH);
+    table
+        .load_preset(presets::UTF8_FULL_CONDENSED)
+        .set_content_arrangement(ContentArrangement::Dynamic)
+        .set_width(WIDTH);
     table
 }

@@ -195,7 +195,10 @@ mod tests {
     fn a_turned_rectangle_is_found_with_its_yaw() {
         let (sin, cos) = 0.5_f32.sin_cos();
         let corners = [(-2.0, -0.5), (2.0, -0.5), (2.0, 0.5), (-2.0, 0.5)];
-        let turned: Vec<_> = corners.iter().map(|&(x, y)| Point2::new(cos * x - sin * y + 3.0, sin * x + cos * y - 1.0)).collect();
+        let turned: Vec<_> = corners
+            .iter()
+            .map(|&(x, y)| Point2::new(cos * x - sin * y + 3.0, sin * x + cos * y - 1.0))
+            .collect();
         let found = OrientedBox::min_area(&turned, (0.0, 0.8)).unwrap();
         assert!((found.yaw_rad - 0.5).abs() < 1e-4, "{found:?}");
         assert!((found.size - Vector3::new(4.0, 1.0, 0.8)).norm() < 1e-4, "{found:?}");

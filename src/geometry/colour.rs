@@ -115,28 +115,68 @@ impl ColourName {
             };
         }
         match hue_deg {
-            h if !(20.0..345.0).contains(&h) => if lightness > 65.0 { Self::Pink } else { Self::Red },
+            h if !(20.0..345.0).contains(&h) => {
+                if lightness > 65.0 {
+                    Self::Pink
+                } else {
+                    Self::Red
+                }
+            }
             h if h < 46.0 => match (lightness, chroma) {
                 (l, _) if l < 30.0 && chroma < 40.0 => Self::Brown,
-                (_, c) if c < 25.0 => if lightness > 65.0 { Self::Beige } else { Self::Brown },
+                (_, c) if c < 18.0 => {
+                    if lightness > 65.0 {
+                        Self::Beige
+                    } else {
+                        Self::Brown
+                    }
+                }
                 (l, _) if l > 70.0 => Self::Pink,
                 _ => Self::Red,
             },
             h if h < 72.0 => match (lightness, chroma) {
-                (l, c) if c < 30.0 => if l > 62.0 { Self::Beige } else { Self::Brown },
+                (l, c) if c < 30.0 => {
+                    if l > 62.0 {
+                        Self::Beige
+                    } else {
+                        Self::Brown
+                    }
+                }
                 (l, c) if l < 56.0 && c < 55.0 => Self::Brown,
                 _ => Self::Orange,
             },
             h if h < 105.0 => match (lightness, chroma) {
-                (l, c) if c < 16.0 => match l { l if l > 62.0 => Self::Beige, l if l > 35.0 => Self::Grey, _ => Self::Brown },
-                (l, c) if c < 36.0 => if l > 60.0 { Self::Beige } else { Self::Brown },
+                (l, c) if c < 16.0 => match l {
+                    l if l > 62.0 => Self::Beige,
+                    l if l > 35.0 => Self::Grey,
+                    _ => Self::Brown,
+                },
+                (l, c) if c < 36.0 => {
+                    if l > 60.0 {
+                        Self::Beige
+                    } else {
+                        Self::Brown
+                    }
+                }
                 (l, _) if l < 45.0 => Self::Brown,
                 _ => Self::Yellow,
             },
             h if h < 190.0 => Self::Green,
-            h if h < 308.0 => if chroma < 11.0 { Self::Grey } else { Self::Blue },
+            h if h < 308.0 => {
+                if chroma < 11.0 {
+                    Self::Grey
+                } else {
+                    Self::Blue
+                }
+            }
             h if h < 330.0 => Self::Purple,
-            _ => if lightness > 55.0 { Self::Pink } else { Self::Purple },
+            _ => {
+                if lightness > 55.0 {
+                    Self::Pink
+                } else {
+                    Self::Purple
+                }
+            }
         }
     }
 
@@ -213,9 +253,21 @@ mod tests {
     fn everyday_colours_get_their_names() {
         use ColourName::*;
         for (rgb, name) in [
-            ([10, 10, 10], Black), ([240, 240, 240], White), ([128, 128, 128], Grey), ([200, 30, 30], Red), ([230, 120, 20], Orange),
-            ([230, 210, 40], Yellow), ([40, 140, 60], Green), ([40, 70, 180], Blue), ([120, 40, 140], Purple), ([240, 150, 180], Pink),
-            ([110, 70, 40], Brown), ([215, 195, 165], Beige), ([60, 40, 30], Brown), ([90, 120, 200], Blue), ([160, 110, 60], Brown),
+            ([10, 10, 10], Black),
+            ([240, 240, 240], White),
+            ([128, 128, 128], Grey),
+            ([200, 30, 30], Red),
+            ([230, 120, 20], Orange),
+            ([230, 210, 40], Yellow),
+            ([40, 140, 60], Green),
+            ([40, 70, 180], Blue),
+            ([120, 40, 140], Purple),
+            ([240, 150, 180], Pink),
+            ([110, 70, 40], Brown),
+            ([215, 195, 165], Beige),
+            ([60, 40, 30], Brown),
+            ([90, 120, 200], Blue),
+            ([160, 110, 60], Brown),
         ] {
             assert_eq!(ColourName::of(&lab_of_srgb(rgb)), name, "{rgb:?} {:?}", lab_of_srgb(rgb));
         }

@@ -37,7 +37,12 @@ impl UnionFind {
         let mut count = 0;
         for i in 0..self.parent.len() as u32 {
             let root = self.find(i);
-            labels[i as usize] = if root == i { count += 1; count - 1 } else { labels[root as usize] };
+            labels[i as usize] = if root == i {
+                count += 1;
+                count - 1
+            } else {
+                labels[root as usize]
+            };
         }
         (labels, count as usize)
     }

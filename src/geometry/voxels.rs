@@ -102,6 +102,18 @@ impl VoxelGrid {
     }
 }
 
+/// Cells the surface of a cloud is measured with, metres.
+const AREA_CELL_M: f32 = 0.1;
+
+/// Typical distance between neighbouring points on their surface, metres: the side of the square each point stands for.
+#[must_use]
+pub fn typical_spacing_m(points: &[Point3<f32>]) -> f32 {
+    let mut cells: Vec<VoxelKey> = points.par_iter().map(|p| VoxelKey::of(p, AREA_CELL_M)).collect();
+    cells.par_sort_unstable();
+    cells.dedup();
+    (cells.len() as f32 * AREA_CELL_M * AREA_CELL_M / points.len().max(1) as f32).sqrt()
+}
+
 /// Offsets of the 26 voxels around one.
 pub const NEIGHBOURS_26: [[i64; 3]; 26] = {
     let mut all = [[0; 3]; 26];
@@ -136,6 +148,14 @@ mod tests {
             assert_eq!(grid.keys[v as usize], VoxelKey::of(p, 0.05));
         }
         assert!(grid.len() < points.len() && grid.neighbours(0).count() > 0);
+    }
+
+    #[test]
+    fn spacing_is_that_of_the_surface() {
+        let plane: Vec<_> = (0..200)
+            .flat_map(|i| (0..200).map(move |j| Point3::new(i as f32 * 0.02, j as f32 * 0.02, 0.51)))
+            .collect();
+        assert!((typical_spacing_m(&plane) - 0.02).abs() < 0.002, "{}", typical_spacing_m(&plane));
     }
 
     #[test]

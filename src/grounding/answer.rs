@@ -86,7 +86,13 @@ pub struct Timings {
 impl Timings {
     pub(super) fn from_marks(parsed: Duration, shortlisted: Duration, total: Duration) -> Self {
         let ms = |d: Duration| (d.as_secs_f64() * 1e6).round() / 1e3;
-        Self { parse_query: ms(parsed), shortlist: ms(shortlisted - parsed), evidence: 0.0, reason: ms(total - shortlisted), total: ms(total) }
+        Self {
+            parse_query: ms(parsed),
+            shortlist: ms(shortlisted - parsed),
+            evidence: 0.0,
+            reason: ms(total - shortlisted),
+            total: ms(total),
+        }
     }
 }
 
@@ -121,7 +127,10 @@ const MIN_ALTERNATIVE: f32 = 0.05;
 pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQuery, verdict: Verdict, timings_ms: Timings) -> Grounding {
     let Verdict { status, scores, beliefs, explanation, anchor, relation_used, target_name_matches } = verdict;
     let candidates = shortlist::rank(scene, &scores, question.top_k);
-    let chosen = candidates.first().filter(|_| status == Status::Grounded).map(|c| &scene.instances[c.id.0 as usize - 1]);
+    let chosen = candidates
+        .first()
+        .filter(|_| status == Status::Grounded)
+        .map(|c| &scene.instances[c.id.0 as usize - 1]);
     let confidence = match (status, candidates.first()) {
         (Status::NoMatch, Some(best)) => 1.0 - best.score,
         (Status::NoMatch, None) => 1.0,
@@ -150,7 +159,11 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
         oriented_box: chosen.map(|i| i.oriented_box),
         confidence,
         candidates,
-        alternatives: rivals.iter().take(MAX_ALTERNATIVES).map(|i| Alternative { id: i.id, confidence: belief(i), aabb: i.aabb }).collect(),
+        alternatives: rivals
+            .iter()
+            .take(MAX_ALTERNATIVES)
+            .map(|i| Alternative { id: i.id, confidence: belief(i), aabb: i.aabb })
+            .collect(),
         parsed_query: summarise(parsed),
         direction_convention: if question.observer.is_some() { "observer".into() } else { question.convention.name().into() },
         timings_ms,
@@ -169,13 +182,25 @@ fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
     let target = &parsed.target;
     let sizes = target.sizes.iter().map(|s| s.word().to_owned());
     let colours = target.colours.iter().map(|c| c.word().to_owned());
-    let with = target.with.iter().map(|w| format!("{} {}", if w.absent { "without" } else { "with" }, w.phrase.text()));
+    let with = target
+        .with
+        .iter()
+        .map(|w| format!("{} {}", if w.absent { "without" } else { "with" }, w.phrase.text()));
     let superlative = parsed.superlative.map(|s| format!("{:?}", s.measure).to_lowercase());
     ParsedQuerySummary {
         target: if target.meaning() == Meaning::Anything && target.head.is_empty() { "thing".into() } else { target.head.clone() },
         attributes: sizes.chain(colours).chain(with).chain(superlative).collect(),
-        anchors: parsed.relations.iter().flat_map(|r| r.anchors.iter().map(Phrase::text)).chain(parsed.viewpoint.iter().map(Phrase::text)).collect(),
-        relations: parsed.relations.iter().map(|r| if r.negated { format!("not {}", r.text) } else { r.text.clone() }).collect(),
+        anchors: parsed
+            .relations
+            .iter()
+            .flat_map(|r| r.anchors.iter().map(Phrase::text))
+            .chain(parsed.viewpoint.iter().map(Phrase::text))
+            .collect(),
+        relations: parsed
+            .relations
+            .iter()
+            .map(|r| if r.negated { format!("not {}", r.text) } else { r.text.clone() })
+            .collect(),
         not_understood: parsed.not_understood.clone(),
     }
 }

@@ -15,8 +15,8 @@ const WRONG_COLOUR: f32 = 0.02;
 
 /// Parts of things: "the stool with the orange seat" speaks of the stool's own colour.
 const PARTS: [&str; 22] = [
-    "seat", "seats", "back", "backrest", "leg", "legs", "arm", "arms", "armrests", "handle", "handles", "drawer", "drawers", "wheels", "top", "frame",
-    "cushions", "shade", "screen", "lid", "base", "pattern",
+    "seat", "seats", "back", "backrest", "leg", "legs", "arm", "arms", "armrests", "handle", "handles", "drawer", "drawers", "wheels",
+    "top", "frame", "cushions", "shade", "screen", "lid", "base", "pattern",
 ];
 
 /// Fit of every instance to a phrase, `0..=1`, by index.
@@ -44,7 +44,13 @@ pub(super) const PLAUSIBLE: f32 = 0.3;
 fn noun_fits(instances: &[Instance], meaning: &Meaning) -> Vec<f32> {
     let fit = |instance: &Instance| match meaning {
         Meaning::Unknown => 0.0,
-        Meaning::Anything => if instance.structure.is_none() { ANYTHING } else { 0.0 },
+        Meaning::Anything => {
+            if instance.structure.is_none() {
+                ANYTHING
+            } else {
+                0.0
+            }
+        }
         Meaning::Structure(structure) => f32::from(u8::from(instance.structure == Some(*structure))),
         Meaning::Nouns(nouns) => {
             let broader = |i: usize| if i == 0 { 1.0 } else { BROADER_WORD };
@@ -60,7 +66,11 @@ fn noun_fits(instances: &[Instance], meaning: &Meaning) -> Vec<f32> {
 fn colours_fit(phrase: &Phrase, instance: &Instance) -> f32 {
     // Two colours share the surface: each needs to be there, neither needs to rule.
     let n = phrase.colours.len().max(1) as f32;
-    phrase.colours.iter().map(|&c| (attributes::colour_fit(c, instance) * n.sqrt()).clamp(WRONG_COLOUR, 1.0)).product()
+    phrase
+        .colours
+        .iter()
+        .map(|&c| (attributes::colour_fit(c, instance) * n.sqrt()).clamp(WRONG_COLOUR, 1.0))
+        .product()
 }
 
 /// "large" and "small" are relative: to the other things the noun may mean.
@@ -73,7 +83,12 @@ fn size_fits(instances: &[Instance], nouns: &[f32], size: SizeWord) -> Vec<f32> 
         SizeWord::Long => attributes::sides(instance).0,
     };
     let best = nouns.iter().copied().fold(0.0, f32::max);
-    let rivals: Vec<f32> = instances.iter().zip(nouns).filter(|(_, fit)| **fit >= PLAUSIBLE * best && best > 0.0).map(|(i, _)| measure(i)).collect();
+    let rivals: Vec<f32> = instances
+        .iter()
+        .zip(nouns)
+        .filter(|(_, fit)| **fit >= PLAUSIBLE * best && best > 0.0)
+        .map(|(i, _)| measure(i))
+        .collect();
     instances
         .iter()
         .map(|instance| {

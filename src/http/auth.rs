@@ -32,11 +32,16 @@ pub async fn require_key(State(app): State<App>, request: Request, next: Next) -
     if matches!(request.uri().path(), "/healthz" | "/readyz") {
         return next.run(request).await;
     }
-    let presented = request.headers().get(header::AUTHORIZATION).and_then(|v| v.to_str().ok()).and_then(|v| v.strip_prefix("Bearer "));
+    let presented = request
+        .headers()
+        .get(header::AUTHORIZATION)
+        .and_then(|v| v.to_str().ok())
+        .and_then(|v| v.strip_prefix("Bearer "));
     if presented.is_some_and(|presented| key.matches(presented.trim())) {
         return next.run(request).await;
     }
-    let mut refused = Problem::new(StatusCode::UNAUTHORIZED, "unauthorized", "this server wants a key: Authorization: Bearer <key>").into_response();
+    let mut refused =
+        Problem::new(StatusCode::UNAUTHORIZED, "unauthorized", "this server wants a key: Authorization: Bearer <key>").into_response();
     refused.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
     refused
 }

@@ -34,7 +34,9 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
                 _ => Problem::new(StatusCode::BAD_REQUEST, "malformed_json", error.inner().to_string()),
             }
         })?;
-        reader.end().map_err(|error| Problem::new(StatusCode::BAD_REQUEST, "malformed_json", error.to_string()))?;
+        reader
+            .end()
+            .map_err(|error| Problem::new(StatusCode::BAD_REQUEST, "malformed_json", error.to_string()))?;
         Ok(Self(value))
     }
 }

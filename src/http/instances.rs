@@ -98,7 +98,8 @@ pub async fn view(
     Query(ViewParameters { picture }): Query<ViewParameters>,
 ) -> Result<Response, Problem> {
     let number = view.strip_suffix(".jpg").and_then(|k| k.parse().ok());
-    let number = number.ok_or_else(|| Problem::new(StatusCode::NOT_FOUND, "view_not_found", format!("views are 0.jpg, 1.jpg, ...; not {view:?}")))?;
+    let number = number
+        .ok_or_else(|| Problem::new(StatusCode::NOT_FOUND, "view_not_found", format!("views are 0.jpg, 1.jpg, ...; not {view:?}")))?;
     let file = app.service.view_picture(&scene_id, InstanceId(instance_id), number, picture).await?;
     send_file(&file, "image/jpeg").await
 }

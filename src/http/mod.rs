@@ -11,10 +11,10 @@ mod problem;
 mod scenes;
 
 pub use auth::ApiKey;
+use auth::BearerAuth;
 pub use health::Readiness;
 pub use problem::{FieldError, Problem};
 pub use scenes::Created;
-use auth::BearerAuth;
 
 use crate::service::Service;
 use axum::http::HeaderName;

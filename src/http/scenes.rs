@@ -117,7 +117,10 @@ fn default_limit() -> u32 {
     ),
     security(("key" = []), ())
 )]
-pub async fn list(State(app): State<App>, Query(ListParameters { limit, cursor }): Query<ListParameters>) -> Result<axum::Json<SceneList>, Problem> {
+pub async fn list(
+    State(app): State<App>,
+    Query(ListParameters { limit, cursor }): Query<ListParameters>,
+) -> Result<axum::Json<SceneList>, Problem> {
     if !(1..=100).contains(&limit) {
         return Err(Problem::invalid("limit", "must be 1 to 100"));
     }
@@ -159,7 +162,11 @@ pub struct Rename {
     ),
     security(("key" = []), ())
 )]
-pub async fn rename(State(app): State<App>, Path(scene_id): Path<String>, Json(Rename { name }): Json<Rename>) -> Result<axum::Json<Scene>, Problem> {
+pub async fn rename(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    Json(Rename { name }): Json<Rename>,
+) -> Result<axum::Json<Scene>, Problem> {
     Ok(axum::Json(app.service.rename_scene(&scene_id, &name).await?))
 }
 

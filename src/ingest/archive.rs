@@ -238,9 +238,15 @@ mod tests {
     fn bombs_stop_at_the_limit() {
         let zeros = vec![0; 40 << 20];
         let limits = UnpackLimits { max_ratio: 20, ..UnpackLimits::default() };
-        assert!(matches!(unpack_bytes(&zip_of(&[("z", &zeros)]), ArchiveKind::Zip, &limits), Err(IngestError::ArchiveTooLarge { .. })));
+        assert!(matches!(
+            unpack_bytes(&zip_of(&[("z", &zeros)]), ArchiveKind::Zip, &limits),
+            Err(IngestError::ArchiveTooLarge { .. })
+        ));
         let limits = UnpackLimits { max_entries: 1, ..UnpackLimits::default() };
-        assert!(matches!(unpack_bytes(&zip_of(&[("a", b""), ("b", b"")]), ArchiveKind::Zip, &limits), Err(IngestError::ArchiveTooLarge { .. })));
+        assert!(matches!(
+            unpack_bytes(&zip_of(&[("a", b""), ("b", b"")]), ArchiveKind::Zip, &limits),
+            Err(IngestError::ArchiveTooLarge { .. })
+        ));
     }
 
     #[test]

@@ -14,7 +14,9 @@ pub enum IngestError {
     UnsafeEntry { entry: String, reason: &'static str },
     #[error("the archive unpacks to more than {limit}")]
     ArchiveTooLarge { limit: String },
-    #[error("no known scene layout: expected scene.json, or color/ depth/ pose/ and intrinsic.txt, or cloud.ply; the archive holds {found}")]
+    #[error(
+        "no known scene layout: expected scene.json, or color/ depth/ pose/ and intrinsic.txt, or cloud.ply; the archive holds {found}"
+    )]
     UnknownLayout { found: String },
     #[error("{file}: {reason}")]
     Malformed { file: Utf8PathBuf, reason: String },
@@ -27,7 +29,12 @@ pub enum IngestError {
     #[error("the scan has {color} colour pictures, {depth} depth pictures and {pose} poses; first without a partner: {first}")]
     FrameCountMismatch { color: usize, depth: usize, pose: usize, first: Utf8PathBuf },
     #[error("frame {frame}: {file}: {source}")]
-    BadPose { frame: FrameIndex, file: Utf8PathBuf, #[source] source: PoseError },
+    BadPose {
+        frame: FrameIndex,
+        file: Utf8PathBuf,
+        #[source]
+        source: PoseError,
+    },
     #[error("{file}: the cloud has no points")]
     EmptyCloud { file: Utf8PathBuf },
     #[error("the scene has no frames and no points")]
@@ -41,7 +48,11 @@ pub enum IngestError {
     )]
     ConventionMismatch { agreement: f32, hypothesis: String, other_agreement: f32 },
     #[error("{file}: {source}")]
-    Io { file: Utf8PathBuf, #[source] source: io::Error },
+    Io {
+        file: Utf8PathBuf,
+        #[source]
+        source: io::Error,
+    },
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
 }

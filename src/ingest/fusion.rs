@@ -1,8 +1,8 @@
 //! A cloud from posed depth: voxel grid with running means, for scans that bring no cloud of their own.
 
 use super::IngestError;
-use crate::geometry::{Point3, Vector3};
 use crate::geometry::voxels::{VoxelKey, VoxelMap};
+use crate::geometry::{Point3, Vector3};
 use crate::progress::Progress;
 use crate::scene::{Frame, FrameRef, PointCloud, stream_frames};
 use serde::{Deserialize, Serialize};
@@ -15,15 +15,15 @@ pub struct FusionSettings {
     pub voxel_m: f32,
     /// Depth beyond this is not fused, metres: consumer sensors are noise out there.
     pub max_depth_m: f32,
-    /// A voxel needs this many measurements to become a point: single ones are mostly noise.
-    pub min_measurements: u32,
+    /// A voxel becomes a point when it holds at least this share of the mean number of measurements: thin ones are mostly noise.
+    pub min_share_of_mean: f32,
     /// A pixel whose depth differs from a neighbour's by more than this share lies on a silhouette, where sensors smear.
     pub silhouette_tolerance: f32,
 }
 
 impl Default for FusionSettings {
     fn default() -> Self {
-        Self { voxel_m: 0.02, max_depth_m: 8.0, min_measurements: 3, silhouette_tolerance: 0.05 }
+        Self { voxel_m: 0.02, max_depth_m: 8.0, min_share_of_mean: 0.25, silhouette_tolerance: 0.05 }
     }
 }
 
@@ -62,7 +62,9 @@ pub fn fuse(frames: &[FrameRef], settings: &FusionSettings, progress: &Progress)
     if cells.is_empty() {
         return Err(IngestError::NoUsableFrames { reason: "no depth picture holds a measurement".into() });
     }
-    let mut sorted: Vec<_> = cells.into_iter().filter(|(_, cell)| cell.count >= settings.min_measurements).collect();
+    let measurements: u64 = cells.values().map(|cell| u64::from(cell.count)).sum();
+    let least = measurements as f32 / cells.len() as f32 * settings.min_share_of_mean;
+    let mut sorted: Vec<_> = cells.into_iter().filter(|(_, cell)| cell.count as f32 >= least).collect();
     sorted.sort_unstable_by_key(|(key, _)| *key);
     let mut cloud = PointCloud::default();
     for (key, cell) in sorted {

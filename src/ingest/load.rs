@@ -33,8 +33,10 @@ pub fn load(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> Resu
     let poses: Vec<_> = in_file_world.iter().map(|f| f.camera_to_world).collect();
     let up = settings.up.or(scan.up).unwrap_or_else(|| guess_up(&poses, &mut warnings));
     let to_z_up = up.to_z_up();
-    let frames: Vec<_> =
-        in_file_world.into_iter().map(|f| FrameRef { camera_to_world: to_z_up * f.camera_to_world, ..f }).collect();
+    let frames: Vec<_> = in_file_world
+        .into_iter()
+        .map(|f| FrameRef { camera_to_world: to_z_up * f.camera_to_world, ..f })
+        .collect();
 
     let own_cloud = scan.cloud.as_ref().map(|file| own_cloud_of(scan, file, &to_z_up, &mut warnings)).transpose()?;
     progress.report("check_reprojection", 0.1)?;
@@ -85,8 +87,11 @@ fn own_cloud_of(scan: &Scan, file: &Utf8Path, to_z_up: &Isometry3<f32>, warnings
 /// A frame with its pose as the scan declares it, still in the file's world.
 fn frame_ref(scan: &Scan, index: usize, raw: &RawFrame) -> Result<FrameRef, IngestError> {
     let index = FrameIndex(index as u32);
-    let camera_to_world = read_pose(&raw.pose, scan.pose, scan.camera_axes)
-        .map_err(|source| IngestError::BadPose { frame: index, file: raw.pose_file.clone(), source })?;
+    let camera_to_world = read_pose(&raw.pose, scan.pose, scan.camera_axes).map_err(|source| IngestError::BadPose {
+        frame: index,
+        file: raw.pose_file.clone(),
+        source,
+    })?;
     Ok(FrameRef {
         index,
         color: scan.root.join(&raw.color),

@@ -1,8 +1,8 @@
 //! Does the geometry agree with the depth pictures? Wrong pose directions, camera axes and depth scales show here first.
 
+use super::IngestError;
 use super::formats::{CameraAxes, Scan};
 use super::load::read_pose;
-use super::IngestError;
 use crate::geometry::{Isometry3, Point3};
 use crate::scene::{Camera, DepthImage, FrameRef, PointCloud, PoseConvention};
 use rayon::prelude::*;
@@ -113,15 +113,22 @@ impl Sample<'_> {
         // Each point with the frame it comes from, which may not judge it.
         let points: Vec<(Option<usize>, Point3<f32>)> = match &self.cloud {
             Some(points) => points.iter().map(|p| (None, *p)).collect(),
-            None => self.frames.iter().enumerate().flat_map(|(i, (_, depth))| {
-                let (camera, camera_to_world) = &cameras[i];
-                let step = (depth.depth_m.len() / per_frame).max(1);
-                let measured = (0..depth.depth_m.len()).step_by(step).filter(|&at| depth.depth_m[at] > 0.0);
-                measured.map(move |at| {
-                    let (u, v) = (at as u32 % depth.width, at as u32 / depth.width);
-                    (Some(i), camera_to_world * camera.intrinsics.unproject(u as f32, v as f32, depth.depth_m[at] * rescale))
-                }).collect::<Vec<_>>()
-            }).collect(),
+            None => self
+                .frames
+                .iter()
+                .enumerate()
+                .flat_map(|(i, (_, depth))| {
+                    let (camera, camera_to_world) = &cameras[i];
+                    let step = (depth.depth_m.len() / per_frame).max(1);
+                    let measured = (0..depth.depth_m.len()).step_by(step).filter(|&at| depth.depth_m[at] > 0.0);
+                    measured
+                        .map(move |at| {
+                            let (u, v) = (at as u32 % depth.width, at as u32 / depth.width);
+                            (Some(i), camera_to_world * camera.intrinsics.unproject(u as f32, v as f32, depth.depth_m[at] * rescale))
+                        })
+                        .collect::<Vec<_>>()
+                })
+                .collect(),
         };
         let (mut agree, mut seen) = (0_usize, 0_usize);
         for (i, ((camera, _), (_, depth))) in cameras.iter().zip(&self.frames).enumerate() {

@@ -17,7 +17,8 @@ pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
     let skipped = before - scan.frames.len();
     scan.frames_skipped = skipped as u32;
     if skipped > 0 {
-        scan.warnings.push(format!("{skipped} of {before} frames skipped: their pose is marked as lost (infinite)"));
+        scan.warnings
+            .push(format!("{skipped} of {before} frames skipped: their pose is marked as lost (infinite)"));
     }
     if before == 0 && scan.cloud.is_none() {
         return Err(IngestError::EmptyScene);
@@ -74,5 +75,7 @@ pub(super) fn picture_size(root: &Utf8Path, file: &Utf8Path) -> Result<(u32, u32
     }
     let io = |source| IngestError::Io { file: file.to_owned(), source };
     let reader = ImageReader::open(&path).map_err(io)?.with_guessed_format().map_err(io)?;
-    reader.into_dimensions().map_err(|e| IngestError::malformed(file, format!("not a readable picture: {e}")))
+    reader
+        .into_dimensions()
+        .map_err(|e| IngestError::malformed(file, format!("not a readable picture: {e}")))
 }

@@ -51,10 +51,29 @@ impl Job {
     /// A stored job, seen at `now`.
     #[must_use]
     pub fn from_row(row: JobRow, now: Timestamp) -> Self {
-        let JobRow { id, kind, payload: _, state, stage, progress, attempts, message, error_code, error, created_at, started_at, finished_at } = row;
+        let JobRow {
+            id,
+            kind,
+            payload: _,
+            state,
+            stage,
+            progress,
+            attempts,
+            message,
+            error_code,
+            error,
+            created_at,
+            started_at,
+            finished_at,
+        } = row;
         let progress = progress as f32;
-        let running_s = started_at.as_ref().and_then(|t| t.parse::<Timestamp>().ok()).map(|start| now.duration_since(start).as_secs_f32());
-        let eta_s = running_s.filter(|_| state == JobState::Running && progress >= MIN_PROGRESS_FOR_ETA).map(|elapsed| elapsed * (1.0 - progress) / progress);
+        let running_s = started_at
+            .as_ref()
+            .and_then(|t| t.parse::<Timestamp>().ok())
+            .map(|start| now.duration_since(start).as_secs_f32());
+        let eta_s = running_s
+            .filter(|_| state == JobState::Running && progress >= MIN_PROGRESS_FOR_ETA)
+            .map(|elapsed| elapsed * (1.0 - progress) / progress);
         Self {
             id,
             kind,

@@ -22,7 +22,10 @@ pub struct JobContext {
 #[derive(Debug)]
 pub enum JobFailure {
     /// `code` is stable; `detail` is for the caller.
-    Failed { code: String, detail: String },
+    Failed {
+        code: String,
+        detail: String,
+    },
     Cancelled,
 }
 
@@ -97,7 +100,12 @@ impl Jobs {
         ended
     }
 
-    async fn end(&self, id: &str, result: Result<Result<String, JobFailure>, tokio::task::JoinError>, shutdown: &CancellationToken) -> Result<(), StoreError> {
+    async fn end(
+        &self,
+        id: &str,
+        result: Result<Result<String, JobFailure>, tokio::task::JoinError>,
+        shutdown: &CancellationToken,
+    ) -> Result<(), StoreError> {
         match result {
             Ok(Ok(message)) => self.store.finish_job(id, JobState::Succeeded, Some(&message), None).await,
             Ok(Err(JobFailure::Cancelled)) if shutdown.is_cancelled() => self.store.requeue_job(id).await,
@@ -159,7 +167,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = queue(&folder).await;
         let shutdown = CancellationToken::new();
-        let worker = tokio::spawn({ let (jobs, shutdown) = (jobs.clone(), shutdown.clone()); async move { jobs.work(&handlers(), shutdown).await } });
+        let worker = tokio::spawn({
+            let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
+            async move { jobs.work(&handlers(), shutdown).await }
+        });
         for (kind, state, code) in [
             ("panics", JobState::Failed, Some("internal")),
             ("fails", JobState::Failed, Some("broken")),
@@ -179,7 +190,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = queue(&folder).await;
         let shutdown = CancellationToken::new();
-        let worker = tokio::spawn({ let (jobs, shutdown) = (jobs.clone(), shutdown.clone()); async move { jobs.work(&handlers(), shutdown).await } });
+        let worker = tokio::spawn({
+            let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
+            async move { jobs.work(&handlers(), shutdown).await }
+        });
         let first = jobs.submit("waits", "").await.unwrap().id;
         let second = jobs.submit("waits", "").await.unwrap().id;
         let third = jobs.submit("waits", "").await.unwrap().id;

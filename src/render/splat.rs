@@ -1,14 +1,12 @@
 //! Points as z-buffered squares, large enough to close the gaps between them.
 
 use crate::geometry::Point3;
-use crate::geometry::voxels::{VoxelKey, VoxelMap};
+use crate::geometry::voxels::typical_spacing_m;
 use crate::scene::{Camera, PointCloud};
 use image::{Rgb, RgbImage};
 use rayon::prelude::*;
 
 const BACKGROUND: Rgb<u8> = Rgb([250, 250, 250]);
-/// Cells the surface of the cloud is measured with, metres.
-const AREA_CELL_M: f32 = 0.1;
 /// A splat is this much wider than the spacing of the points: seen at a slant, surfaces would tear otherwise.
 const OVERLAP: f32 = 1.6;
 const MAX_SPLAT_PX: f32 = 24.0;
@@ -16,7 +14,7 @@ const MAX_SPLAT_PX: f32 = 24.0;
 /// Draws the points that `keep` keeps.
 pub(super) fn draw(cloud: &PointCloud, camera: &Camera, keep: impl Fn(&Point3<f32>) -> bool + Sync) -> RgbImage {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
-    let size_m = spacing_m(cloud) * OVERLAP;
+    let size_m = typical_spacing_m(&cloud.positions) * OVERLAP;
     let splats: Vec<(f32, f32, f32, [u8; 3])> = cloud
         .positions
         .par_iter()
@@ -40,15 +38,6 @@ pub(super) fn draw(cloud: &PointCloud, camera: &Camera, keep: impl Fn(&Point3<f3
         }
     }
     picture
-}
-
-/// Typical distance between neighbouring points, from the surface they cover: side of the square each point stands for.
-fn spacing_m(cloud: &PointCloud) -> f32 {
-    let mut cells: VoxelMap<()> = VoxelMap::default();
-    for p in &cloud.positions {
-        cells.insert(VoxelKey::of(p, AREA_CELL_M), ());
-    }
-    (cells.len() as f32 * AREA_CELL_M * AREA_CELL_M / cloud.len().max(1) as f32).sqrt()
 }
 
 #[cfg(test)]

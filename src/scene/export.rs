@@ -17,14 +17,21 @@ pub fn write_cloud_ply(cloud: &PointCloud, out: impl Write) -> io::Result<()> {
 /// # Errors
 /// Those of `out`.
 pub fn write_instances_ply(scene: &ParsedScene, out: impl Write) -> io::Result<()> {
-    write(&scene.cloud.positions, |i| (instance_colour(scene.instance_of_point[i]), Some(scene.instance_of_point[i])), out)
+    write(
+        &scene.cloud.positions,
+        |i| (instance_colour(scene.instance_of_point[i]), Some(scene.instance_of_point[i])),
+        out,
+    )
 }
 
 fn write(positions: &[Point3<f32>], of_point: impl Fn(usize) -> ([u8; 3], Option<InstanceId>), out: impl Write) -> io::Result<()> {
     let mut out = io::BufWriter::new(out);
     let labelled = !positions.is_empty() && of_point(0).1.is_some();
     write!(out, "ply\nformat binary_little_endian 1.0\ncomment metres, Z up\nelement vertex {}\n", positions.len())?;
-    write!(out, "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n")?;
+    write!(
+        out,
+        "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
+    )?;
     write!(out, "{}end_header\n", if labelled { "property int instance\n" } else { "" })?;
     for (i, p) in positions.iter().enumerate() {
         let (colour, instance) = of_point(i);

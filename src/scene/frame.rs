@@ -38,9 +38,19 @@ pub struct FrameRef {
 #[derive(Debug, thiserror::Error)]
 pub enum FrameError {
     #[error("frame {frame}: {file}: {source}")]
-    Unreadable { frame: FrameIndex, file: Utf8PathBuf, #[source] source: io::Error },
+    Unreadable {
+        frame: FrameIndex,
+        file: Utf8PathBuf,
+        #[source]
+        source: io::Error,
+    },
     #[error("frame {frame}: {file} can not be decoded: {source}")]
-    Undecodable { frame: FrameIndex, file: Utf8PathBuf, #[source] source: image::ImageError },
+    Undecodable {
+        frame: FrameIndex,
+        file: Utf8PathBuf,
+        #[source]
+        source: image::ImageError,
+    },
     #[error("frame {frame}: {file} is {found_width}x{found_height}, its intrinsics say {width}x{height}")]
     WrongSize { frame: FrameIndex, file: Utf8PathBuf, found_width: u32, found_height: u32, width: u32, height: u32 },
 }
@@ -117,7 +127,9 @@ impl FrameRef {
     fn read(&self, file: &Utf8Path) -> Result<image::DynamicImage, FrameError> {
         let unreadable = |source| FrameError::Unreadable { frame: self.index, file: file.file_name_in_scene(), source };
         let reader = ImageReader::open(file).map_err(unreadable)?.with_guessed_format().map_err(unreadable)?;
-        reader.decode().map_err(|source| FrameError::Undecodable { frame: self.index, file: file.file_name_in_scene(), source })
+        reader
+            .decode()
+            .map_err(|source| FrameError::Undecodable { frame: self.index, file: file.file_name_in_scene(), source })
     }
 
     fn expect_size(&self, file: &Utf8Path, (found_width, found_height): (u32, u32), expected: &Intrinsics) -> Result<(), FrameError> {
@@ -151,8 +163,9 @@ impl Frame {
             return self.color.pixels().map(|p| p.0).collect();
         }
         let clamp = |at: f32, len: u32| (at + 0.5).clamp(0.0, len as f32 - 1.0) as u32;
-        let columns: Vec<u32> =
-            (0..depth.width).map(|u| clamp((u as f32 - depth.cx) / depth.fx * color.fx + color.cx, color.width)).collect();
+        let columns: Vec<u32> = (0..depth.width)
+            .map(|u| clamp((u as f32 - depth.cx) / depth.fx * color.fx + color.cx, color.width))
+            .collect();
         (0..depth.height)
             .flat_map(|v| {
                 let row = clamp((v as f32 - depth.cy) / depth.fy * color.fy + color.cy, color.height);

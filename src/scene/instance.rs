@@ -42,8 +42,12 @@ impl Structure {
 #[serde(tag = "on", rename_all = "snake_case")]
 pub enum Support {
     Floor,
-    Instance { id: InstanceId },
-    Wall { id: InstanceId },
+    Instance {
+        id: InstanceId,
+    },
+    Wall {
+        id: InstanceId,
+    },
     /// Nothing below or behind it was found.
     Nothing,
 }

@@ -52,7 +52,10 @@ pub fn pairs_within(adjacent: &[(u32, u32)], count: usize, max_hop: u32) -> Vec<
                 let reached: Vec<u32> = ring.iter().flat_map(|&n| neighbours[n as usize].iter().copied()).collect();
                 ring = reached.into_iter().filter(|&n| hops.insert_if_new(n, hop)).collect();
             }
-            hops.into_iter().filter(move |&(n, _)| n > start).map(move |(n, hop)| (start, n, hop)).collect::<Vec<_>>()
+            hops.into_iter()
+                .filter(move |&(n, _)| n > start)
+                .map(move |(n, hop)| (start, n, hop))
+                .collect::<Vec<_>>()
         })
         .collect()
 }
@@ -160,7 +163,10 @@ mod tests {
     }
 
     fn table(rows: &[(u32, u32, &[(u16, u32)])]) -> FrameVisibility {
-        let rows = rows.iter().map(|&(superpoint, visible, masks)| VisibleSuperpoint { superpoint, visible, masks: masks.to_vec() }).collect();
+        let rows = rows
+            .iter()
+            .map(|&(superpoint, visible, masks)| VisibleSuperpoint { superpoint, visible, masks: masks.to_vec() })
+            .collect();
         FrameVisibility { frame: FrameIndex(0), rows }
     }
 

@@ -60,8 +60,11 @@ pub fn lift(cloud: &PointCloud, superpoint_of_point: &[u32], frame: &Frame, mask
 /// The same table for coarser primitives: `region_of[superpoint]` replaces superpoints.
 #[must_use]
 pub fn coarsen(table: &FrameVisibility, region_of: &[u32]) -> FrameVisibility {
-    let mut rows: Vec<VisibleSuperpoint> =
-        table.rows.iter().map(|row| VisibleSuperpoint { superpoint: region_of[row.superpoint as usize], ..row.clone() }).collect();
+    let mut rows: Vec<VisibleSuperpoint> = table
+        .rows
+        .iter()
+        .map(|row| VisibleSuperpoint { superpoint: region_of[row.superpoint as usize], ..row.clone() })
+        .collect();
     rows.sort_by_key(|row| row.superpoint);
     let rows = rows
         .chunk_by(|a, b| a.superpoint == b.superpoint)
@@ -103,7 +106,14 @@ mod tests {
         let frame = frame();
         let at = |u: f32, v: f32, z: f32| frame.depth_camera.intrinsics.unproject(u, v, z);
         let cloud = PointCloud {
-            positions: vec![at(0.0, 0.0, 2.0), at(1.0, 0.0, 2.05), at(2.0, 0.0, 3.0), at(3.0, 3.0, 2.0), Point3::new(9.0, 0.0, 2.0), Point3::new(0.0, 0.0, -2.0)],
+            positions: vec![
+                at(0.0, 0.0, 2.0),
+                at(1.0, 0.0, 2.05),
+                at(2.0, 0.0, 3.0),
+                at(3.0, 3.0, 2.0),
+                Point3::new(9.0, 0.0, 2.0),
+                Point3::new(0.0, 0.0, -2.0),
+            ],
             colours: vec![[0; 3]; 6],
         };
         let masks = IdImage { width: 4, height: 4, ids: (0..16).map(|i| u16::from(i != 1) * 7).collect() };
@@ -114,7 +124,8 @@ mod tests {
     #[test]
     fn coarsening_adds_up() {
         let row = |superpoint, visible, masks: &[(u16, u32)]| VisibleSuperpoint { superpoint, visible, masks: masks.to_vec() };
-        let table = FrameVisibility { frame: FrameIndex(0), rows: vec![row(0, 3, &[(1, 3)]), row(1, 4, &[(2, 4)]), row(2, 5, &[(1, 2), (2, 3)])] };
+        let table =
+            FrameVisibility { frame: FrameIndex(0), rows: vec![row(0, 3, &[(1, 3)]), row(1, 4, &[(2, 4)]), row(2, 5, &[(1, 2), (2, 3)])] };
         let coarse = coarsen(&table, &[1, 0, 1]);
         assert_eq!(coarse.rows, [row(0, 4, &[(2, 4)]), row(1, 8, &[(1, 5), (2, 3)])]);
     }

@@ -182,7 +182,10 @@ mod tests {
     use crate::geometry::{Point3, Vector3};
 
     fn patches(points: &[u32]) -> Vec<Patch> {
-        points.iter().map(|&points| Patch { points, center: Point3::origin(), normal: Vector3::z(), lab: Lab::zeros() }).collect()
+        points
+            .iter()
+            .map(|&points| Patch { points, center: Point3::origin(), normal: Vector3::z(), lab: Lab::zeros() })
+            .collect()
     }
 
     fn edge(a: u32, b: u32, affinity: f32) -> Edge {

@@ -19,9 +19,9 @@ pub mod superpoints;
 pub mod views;
 
 use crate::geometry::boxes::Aabb;
+use crate::models::attributes;
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle, StageTiming, stream_frames};
-use crate::models::attributes;
 use masks::MaskSource;
 use rayon::prelude::*;
 pub use settings::ParsingSettings;
@@ -41,7 +41,12 @@ pub enum ParseError {
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame (named), an empty cloud, or cancellation.
-pub fn parse(bundle: SceneBundle, masks: &dyn MaskSource, settings: &ParsingSettings, progress: &Progress) -> Result<ParsedScene, ParseError> {
+pub fn parse(
+    bundle: SceneBundle,
+    masks: &dyn MaskSource,
+    settings: &ParsingSettings,
+    progress: &Progress,
+) -> Result<ParsedScene, ParseError> {
     let SceneBundle { cloud, frames, report: _ } = bundle;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let frames = frame_sampling::sample(&frames, &settings.frame_sampling);
@@ -66,7 +71,11 @@ pub fn parse(bundle: SceneBundle, masks: &dyn MaskSource, settings: &ParsingSett
             },
         )
     })?;
-    let blind = tables.iter().filter(|table| table.rows.is_empty()).map(|table| table.frame.to_string()).collect::<Vec<_>>();
+    let blind = tables
+        .iter()
+        .filter(|table| table.rows.is_empty())
+        .map(|table| table.frame.to_string())
+        .collect::<Vec<_>>();
 
     let region_of = clock.time("merging", || merging::merge(&superpoints, tables, &settings.merging, &progress.part(0.75, 0.85)))?;
     let (mut instances, instance_of_point) = clock.time("instances", || {

@@ -63,7 +63,11 @@ impl ParsingSettings {
             ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
             ("/frame_sampling/max_frames", frame_sampling.max_frames != Some(0), "at least 1, or null"),
             ("/superpoints/voxel_m", (0.001..=10.0).contains(&superpoints.voxel_m), "0.001 to 10 metres"),
-            ("/superpoints/seed_m", superpoints.seed_m.is_finite() && superpoints.seed_m >= superpoints.voxel_m, "at least voxel_m"),
+            (
+                "/superpoints/seed_m",
+                superpoints.seed_m.is_finite() && superpoints.seed_m >= superpoints.voxel_m,
+                "at least voxel_m",
+            ),
             ("/superpoints/seed_m", superpoints.seed_m <= 100.0 * superpoints.voxel_m, "at most 100 voxels"),
             ("/superpoints/spatial_weight", weight(superpoints.spatial_weight), "0 or more"),
             ("/superpoints/normal_weight", weight(superpoints.normal_weight), "0 or more"),
@@ -81,7 +85,11 @@ impl ParsingSettings {
             ("/rgbd_masks/join_concave_deg", positive(rgbd_masks.join_concave_deg), "above 0"),
             ("/rgbd_masks/plane_area_m2", weight(rgbd_masks.plane_area_m2), "0 or more"),
             ("/depth_tolerance", (0.0..1.0).contains(depth_tolerance), "0 to 1"),
-            ("/merging/thresholds", !merging.thresholds.is_empty() && merging.thresholds.iter().all(|&t| share(t)), "one or more values from 0 to 1"),
+            (
+                "/merging/thresholds",
+                !merging.thresholds.is_empty() && merging.thresholds.iter().all(|&t| share(t)),
+                "one or more values from 0 to 1",
+            ),
             ("/merging/thresholds", merging.thresholds.len() <= 20, "at most 20 stages"),
             ("/merging/max_hop", (1..=4).contains(&merging.max_hop), "1 to 4"),
             ("/merging/hop_decay", share(merging.hop_decay) && merging.hop_decay > 0.0, "above 0, at most 1"),
@@ -89,7 +97,10 @@ impl ParsingSettings {
             ("/instances/stray_voxel_m", (0.001..=10.0).contains(&instances.stray_voxel_m), "0.001 to 10 metres"),
             ("/views/count", (1..=16).contains(&views.count), "1 to 16"),
         ];
-        rules.into_iter().find(|(_, fine, _)| !fine).map_or(Ok(()), |(pointer, _, expected)| Err((pointer, expected)))
+        rules
+            .into_iter()
+            .find(|(_, fine, _)| !fine)
+            .map_or(Ok(()), |(pointer, _, expected)| Err((pointer, expected)))
     }
 }
 

@@ -51,7 +51,8 @@ pub fn sightings(cloud: &PointCloud, instance_of_point: &[InstanceId], frame: &F
     let (width, height) = frame.color.dimensions();
     hits.chunk_by(|a, b| a.0 == b.0)
         .map(|hits| {
-            let bound = |of: &dyn Fn(&(InstanceId, f32, f32)) -> f32, q| quantile(&mut hits.iter().map(of).collect::<Vec<_>>(), q).unwrap_or(0.0);
+            let bound =
+                |of: &dyn Fn(&(InstanceId, f32, f32)) -> f32, q| quantile(&mut hits.iter().map(of).collect::<Vec<_>>(), q).unwrap_or(0.0);
             let (u, v) = (|hit: &(InstanceId, f32, f32)| hit.1, |hit: &(InstanceId, f32, f32)| hit.2);
             let low = |at: f32, len: u32| at.floor().clamp(0.0, len as f32 - 1.0) as u32;
             let high = |at: f32, len: u32| at.ceil().clamp(1.0, len as f32) as u32;

@@ -4,9 +4,9 @@ use super::Service;
 use super::cache::LoadedParse;
 use super::parsing::ParseModels;
 use crate::error::Error;
+use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::grounding::direction::{DirectionConvention, Observer};
 use crate::grounding::{self, Alternative, Candidate, Grounding, ParsedQuerySummary, Question, SceneView, SixFields, Status, Timings};
-use crate::geometry::boxes::{Aabb, OrientedBox};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::Duration;
@@ -239,11 +239,17 @@ impl Service {
         let models = Models { masks: parse.masks.clone(), encoder: parse.encoder.clone(), reasoner: BUILTIN_REASONER.into() };
         let work = self.computed(parse, move |scene| grounding::ground(scene, &question));
         let grounding = match request.timeout_s {
-            Some(seconds) => timeout(Duration::from_secs_f32(seconds), work).await.map_err(|_| Error::QuestionTimedOut { seconds })??,
+            Some(seconds) => timeout(Duration::from_secs_f32(seconds), work)
+                .await
+                .map_err(|_| Error::QuestionTimedOut { seconds })??,
             None => work.await?,
         };
         let mut answer = dress(grounding, scene.id, u32::try_from(scene.parse_version).unwrap_or(0), models);
-        if !self.store.insert_answer(&answer.id, &answer.scene_id, &parse_id, &serde_json::to_string(&answer)?).await? {
+        if !self
+            .store
+            .insert_answer(&answer.id, &answer.scene_id, &parse_id, &serde_json::to_string(&answer)?)
+            .await?
+        {
             return Err(Error::SceneNotFound { id: answer.scene_id });
         }
         if let Some(include) = request.include {
@@ -280,7 +286,11 @@ impl Service {
     }
 
     /// Runs stage 2 work on a blocking thread, a bounded number at once.
-    async fn computed<T: Send + 'static>(&self, parse: Arc<LoadedParse>, work: impl FnOnce(SceneView) -> T + Send + 'static) -> Result<T, Error> {
+    async fn computed<T: Send + 'static>(
+        &self,
+        parse: Arc<LoadedParse>,
+        work: impl FnOnce(SceneView) -> T + Send + 'static,
+    ) -> Result<T, Error> {
         let turn = timeout(PATIENCE, self.questions.clone().acquire_owned()).await;
         let Ok(Ok(permit)) = turn else { return Err(Error::Overloaded) };
         let result = spawn_blocking(move || {
@@ -310,8 +320,19 @@ impl Service {
 
 fn dress(grounding: Grounding, scene_id: String, parse_version: u32, models: Models) -> Answer {
     let id = Uuid::now_v7().to_string();
-    let Grounding { query, status, answer, aabb, oriented_box, confidence, candidates, alternatives, parsed_query, direction_convention, timings_ms } =
-        grounding;
+    let Grounding {
+        query,
+        status,
+        answer,
+        aabb,
+        oriented_box,
+        confidence,
+        candidates,
+        alternatives,
+        parsed_query,
+        direction_convention,
+        timings_ms,
+    } = grounding;
     Answer {
         evidence: Some(vec![format!("/v1/answers/{id}/evidence/global.jpg")]),
         id,

@@ -77,7 +77,22 @@ impl From<Instance> for InstanceView {
             names,
         } = instance;
         let colours = colours.dominant().into_iter().map(|(name, share)| (name.word().to_owned(), share)).collect();
-        Self { id, label, aabb, raw_box, oriented_box, point_count, mean_rgb, colours, planarity, structure, support, height_above_floor_m, names, views }
+        Self {
+            id,
+            label,
+            aabb,
+            raw_box,
+            oriented_box,
+            point_count,
+            mean_rgb,
+            colours,
+            planarity,
+            structure,
+            support,
+            height_above_floor_m,
+            names,
+            views,
+        }
     }
 }
 
@@ -89,8 +104,14 @@ impl Service {
     pub async fn instances(&self, scene_id: &str, limit: u32, cursor: u32) -> Result<InstanceList, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let parse = self.loaded_parse(&parse_id).await?;
-        let mut page: Vec<InstanceView> =
-            parse.instances.iter().filter(|i| i.id.0 > cursor).take(limit as usize + 1).cloned().map(InstanceView::from).collect();
+        let mut page: Vec<InstanceView> = parse
+            .instances
+            .iter()
+            .filter(|i| i.id.0 > cursor)
+            .take(limit as usize + 1)
+            .cloned()
+            .map(InstanceView::from)
+            .collect();
         let more = page.len() > limit as usize;
         page.truncate(limit as usize);
         Ok(InstanceList { next_cursor: page.last().filter(|_| more).map(|i| i.id.0), instances: page })
@@ -101,7 +122,9 @@ impl Service {
     pub async fn instance(&self, scene_id: &str, id: InstanceId) -> Result<InstanceView, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let instance = self.store.instance(&parse_id, id).await?;
-        instance.map(InstanceView::from).ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })
+        instance
+            .map(InstanceView::from)
+            .ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })
     }
 
     /// Path of an evidence picture.
@@ -110,8 +133,11 @@ impl Service {
     /// [`Error::ViewNotFound`] and those of [`instance`](Self::instance).
     pub async fn view_picture(&self, scene_id: &str, id: InstanceId, view: u32, picture: ViewPicture) -> Result<Utf8PathBuf, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let instance =
-            self.store.instance(&parse_id, id).await?.ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
+        let instance = self
+            .store
+            .instance(&parse_id, id)
+            .await?
+            .ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
         let views = instance.views.len();
         if view as usize >= views {
             return Err(Error::ViewNotFound { id, view, views });

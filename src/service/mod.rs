@@ -8,7 +8,9 @@ mod pictures;
 mod scenes;
 mod uploads;
 
-pub use answering::{Answer, Call, Frame, GroundRequest, Include, Models, ReasonerChoice, Ablation, ShortlistRequest, Shortlisted, Trace, Usage};
+pub use answering::{
+    Ablation, Answer, Call, Frame, GroundRequest, Include, Models, ReasonerChoice, ShortlistRequest, Shortlisted, Trace, Usage,
+};
 pub use instances::{InstanceList, InstanceView, ViewPicture};
 pub use parsing::{PARSE_JOB, ParseModels, ParsePreset, ParseSettings};
 pub use scenes::{Scene, SceneCounts, SceneList, SceneStatus};

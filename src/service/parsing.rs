@@ -85,16 +85,22 @@ impl ParseSettings {
     fn check(&self) -> Result<(), Error> {
         let fusion = &self.import.fusion;
         for (pointer, fine, expected) in [
-            ("/min_measurements", fusion.min_measurements > 0, "at least 1"),
+            ("/min_share_of_mean", (0.0..=1.0).contains(&fusion.min_share_of_mean), "0 to 1"),
             ("/voxel_m", (0.001..=1.0).contains(&fusion.voxel_m), "0.001 to 1 metres"),
             ("/max_depth_m", fusion.max_depth_m.is_finite() && fusion.max_depth_m > 0.0, "above 0"),
-            ("/silhouette_tolerance", fusion.silhouette_tolerance.is_finite() && fusion.silhouette_tolerance > 0.0, "above 0"),
+            (
+                "/silhouette_tolerance",
+                fusion.silhouette_tolerance.is_finite() && fusion.silhouette_tolerance > 0.0,
+                "above 0",
+            ),
         ] {
             if !fine {
                 return Err(Error::invalid(format!("/settings/import/fusion{pointer}"), format!("must be {expected}")));
             }
         }
-        self.parsing.check().map_err(|(pointer, expected)| Error::invalid(format!("/settings/parsing{pointer}"), format!("must be {expected}")))
+        self.parsing
+            .check()
+            .map_err(|(pointer, expected)| Error::invalid(format!("/settings/parsing{pointer}"), format!("must be {expected}")))
     }
 
     /// Identifies settings and the code and models that read them.
@@ -141,7 +147,9 @@ impl Service {
         let job = match self.stored_parse(&scene, settings).await? {
             Some(parse_id) => {
                 self.store.set_scene_parse(&scene.id, &parse_id).await?;
-                self.jobs.submit_done(PARSE_JOB, &payload, "the stored parse of the same content and settings is used").await?
+                self.jobs
+                    .submit_done(PARSE_JOB, &payload, "the stored parse of the same content and settings is used")
+                    .await?
             }
             None => self.jobs.submit(PARSE_JOB, &payload).await?,
         };
@@ -182,7 +190,8 @@ impl Service {
         }
         let (content, scratch) = (self.store.blobs.content(&scene.content_hash), self.store.blobs.scratch()?);
         let job_settings = settings.clone();
-        let Finished { import, parsed, blobs } = spawn_blocking(move || parse_content(&content, &job_settings, scratch, &progress)).await??;
+        let Finished { import, parsed, blobs } =
+            spawn_blocking(move || parse_content(&content, &job_settings, scratch, &progress)).await??;
 
         let models = self.parse_models();
         let id = Uuid::now_v7().to_string();

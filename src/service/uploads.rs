@@ -51,7 +51,11 @@ impl Service {
     ///
     /// # Errors
     /// [`Error`]: what is wrong with the archive, or with the server's disk.
-    pub async fn create_scene<E>(&self, new: NewScene, body: impl Stream<Item = Result<Bytes, E>> + Unpin) -> Result<(Scene, Option<Job>), Error> {
+    pub async fn create_scene<E>(
+        &self,
+        new: NewScene,
+        body: impl Stream<Item = Result<Bytes, E>> + Unpin,
+    ) -> Result<(Scene, Option<Job>), Error> {
         let NewScene { name, kind, parse, idempotency_key } = new;
         if let Some(name) = &name {
             check_name("/name", name)?;
@@ -107,12 +111,15 @@ impl Service {
             let hash = hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
             Ok::<_, Error>(Received { file, hash, bytes })
         });
-        let mut received = 0;
+        let (mut received, mut interrupted) = (0, false);
         while let Some(chunk) = body.next().await {
-            let chunk = chunk.map_err(|_| Error::UploadInterrupted { received })?;
+            let Ok(chunk) = chunk else {
+                interrupted = true;
+                break;
+            };
             received += chunk.len() as u64;
             if received > max_bytes {
-                return Err(Error::UploadTooLarge { max_bytes });
+                break;
             }
             if chunks.send(chunk).await.is_err() {
                 // The writer gave up: its error says why.
@@ -120,13 +127,20 @@ impl Service {
             }
         }
         drop(chunks);
-        writer.await?
+        // The file is gone before the caller hears of a failure: the writer holds it until here.
+        let written = writer.await?;
+        match (interrupted, received > max_bytes) {
+            (true, _) => Err(Error::UploadInterrupted { received }),
+            (_, true) => Err(Error::UploadTooLarge { max_bytes }),
+            _ => written,
+        }
     }
 
     async fn unpack(&self, received: Arc<Received>, kind: ArchiveKind) -> Result<Unpacked, Error> {
         let (folder, limits) = (self.store.blobs.scratch()?, self.limits.unpack);
         spawn_blocking(move || {
-            let archive = Utf8Path::from_path(received.file.path()).ok_or_else(|| std::io::Error::other("the data folder's path is not UTF-8"))?;
+            let archive =
+                Utf8Path::from_path(received.file.path()).ok_or_else(|| std::io::Error::other("the data folder's path is not UTF-8"))?;
             unpack(archive, kind, folder.path(), &limits)?;
             let name = ingest::open(folder.path())?.name.filter(|name| check_name("/name", name).is_ok());
             Ok(Unpacked { folder, name })

@@ -8,7 +8,10 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn has_content(&self, hash: &str) -> Result<bool, StoreError> {
-        let found: Option<i64> = sqlx::query_scalar("SELECT 1 FROM contents WHERE hash = ?").bind(hash).fetch_optional(&self.reader).await?;
+        let found: Option<i64> = sqlx::query_scalar("SELECT 1 FROM contents WHERE hash = ?")
+            .bind(hash)
+            .fetch_optional(&self.reader)
+            .await?;
         Ok(found.is_some())
     }
 

@@ -46,7 +46,13 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn insert_job(&self, kind: &str, payload: &str) -> Result<JobRow, StoreError> {
         let sql = "INSERT INTO jobs (id, kind, payload, state, created_at) VALUES (?, ?, ?, 'queued', ?) RETURNING *";
-        Ok(sqlx::query_as(sql).bind(Uuid::now_v7().to_string()).bind(kind).bind(payload).bind(now()).fetch_one(&self.writer).await?)
+        Ok(sqlx::query_as(sql)
+            .bind(Uuid::now_v7().to_string())
+            .bind(kind)
+            .bind(payload)
+            .bind(now())
+            .fetch_one(&self.writer)
+            .await?)
     }
 
     /// Records a job whose result was there already.
@@ -57,7 +63,14 @@ impl Store {
         let sql = "INSERT INTO jobs (id, kind, payload, state, progress, message, created_at, started_at, finished_at)
                    VALUES (?1, ?2, ?3, 'succeeded', 1.0, ?4, ?5, ?5, ?5) RETURNING *";
         let id = Uuid::now_v7().to_string();
-        Ok(sqlx::query_as(sql).bind(id).bind(kind).bind(payload).bind(message).bind(now()).fetch_one(&self.writer).await?)
+        Ok(sqlx::query_as(sql)
+            .bind(id)
+            .bind(kind)
+            .bind(payload)
+            .bind(message)
+            .bind(now())
+            .fetch_one(&self.writer)
+            .await?)
     }
 
     /// # Errors
@@ -69,7 +82,9 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn queued_jobs(&self) -> Result<u32, StoreError> {
-        Ok(sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued'").fetch_one(&self.reader).await?)
+        Ok(sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued'")
+            .fetch_one(&self.reader)
+            .await?)
     }
 
     /// Takes the oldest queued job; one UPDATE, so no two workers get the same.
@@ -94,12 +109,26 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn finish_job(&self, id: &str, state: JobState, message: Option<&str>, error: Option<(&str, &str)>) -> Result<(), StoreError> {
+    pub async fn finish_job(
+        &self,
+        id: &str,
+        state: JobState,
+        message: Option<&str>,
+        error: Option<(&str, &str)>,
+    ) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = ?1, message = ?2, error_code = ?3, error = ?4, finished_at = ?5,
                    progress = CASE WHEN ?1 = 'succeeded' THEN 1.0 ELSE progress END
                    WHERE id = ?6 AND state IN ('queued', 'running')";
         let (code, detail) = error.unzip();
-        sqlx::query(sql).bind(state).bind(message).bind(code).bind(detail).bind(now()).bind(id).execute(&self.writer).await?;
+        sqlx::query(sql)
+            .bind(state)
+            .bind(message)
+            .bind(code)
+            .bind(detail)
+            .bind(now())
+            .bind(id)
+            .execute(&self.writer)
+            .await?;
         Ok(())
     }
 
@@ -130,7 +159,9 @@ impl Store {
         let give_up = "UPDATE jobs SET state = 'failed', error_code = 'interrupted', finished_at = ?,
                        error = 'the server stopped ' || attempts || ' times while this job ran' WHERE state = 'running' AND attempts >= ?";
         sqlx::query(give_up).bind(now()).bind(max_attempts).execute(&self.writer).await?;
-        sqlx::query("UPDATE jobs SET state = 'queued' WHERE state = 'running'").execute(&self.writer).await?;
+        sqlx::query("UPDATE jobs SET state = 'queued' WHERE state = 'running'")
+            .execute(&self.writer)
+            .await?;
         Ok(())
     }
 }

@@ -38,7 +38,10 @@ impl Store {
     /// [`StoreError`].
     pub async fn insert_parse(&self, parse: NewParse<'_>) -> Result<bool, StoreError> {
         let NewParse { id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, instances } = parse;
-        let bodies = instances.iter().map(|i| Ok((i.id.0, serde_json::to_string(i)?))).collect::<Result<Vec<_>, StoreError>>()?;
+        let bodies = instances
+            .iter()
+            .map(|i| Ok((i.id.0, serde_json::to_string(i)?)))
+            .collect::<Result<Vec<_>, StoreError>>()?;
         let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
         let inserted = sqlx::query(
             "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at)
@@ -59,7 +62,12 @@ impl Store {
             return Ok(false);
         }
         for (instance, body) in bodies {
-            sqlx::query("INSERT INTO instances (parse_id, id, body) VALUES (?, ?, ?)").bind(id).bind(instance).bind(body).execute(&mut *tx).await?;
+            sqlx::query("INSERT INTO instances (parse_id, id, body) VALUES (?, ?, ?)")
+                .bind(id)
+                .bind(instance)
+                .bind(body)
+                .execute(&mut *tx)
+                .await?;
         }
         tx.commit().await?;
         Ok(true)
@@ -85,8 +93,10 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn instances(&self, parse_id: &str) -> Result<Vec<Instance>, StoreError> {
-        let bodies: Vec<String> =
-            sqlx::query_scalar("SELECT body FROM instances WHERE parse_id = ? ORDER BY id").bind(parse_id).fetch_all(&self.reader).await?;
+        let bodies: Vec<String> = sqlx::query_scalar("SELECT body FROM instances WHERE parse_id = ? ORDER BY id")
+            .bind(parse_id)
+            .fetch_all(&self.reader)
+            .await?;
         bodies.iter().map(|body| Ok(serde_json::from_str(body)?)).collect()
     }
 

@@ -22,14 +22,15 @@ impl Store {
     pub async fn insert_scene(&self, name: &str, content_hash: &str, idempotency_key: Option<&str>) -> Result<SceneRow, StoreError> {
         let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
         let time = now();
-        let scene: SceneRow = sqlx::query_as("INSERT INTO scenes (id, name, content_hash, created_at, updated_at) VALUES (?, ?, ?, ?, ?) RETURNING *")
-            .bind(Uuid::now_v7().to_string())
-            .bind(name)
-            .bind(content_hash)
-            .bind(&time)
-            .bind(&time)
-            .fetch_one(&mut *tx)
-            .await?;
+        let scene: SceneRow =
+            sqlx::query_as("INSERT INTO scenes (id, name, content_hash, created_at, updated_at) VALUES (?, ?, ?, ?, ?) RETURNING *")
+                .bind(Uuid::now_v7().to_string())
+                .bind(name)
+                .bind(content_hash)
+                .bind(&time)
+                .bind(&time)
+                .fetch_one(&mut *tx)
+                .await?;
         if let Some(key) = idempotency_key {
             sqlx::query("INSERT INTO idempotency_keys (key, scene_id, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
                 .bind(key)
@@ -95,13 +96,21 @@ impl Store {
     /// [`StoreError`].
     pub async fn delete_scene(&self, id: &str) -> Result<bool, StoreError> {
         let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
-        let content: Option<String> =
-            sqlx::query_scalar("DELETE FROM scenes WHERE id = ? RETURNING content_hash").bind(id).fetch_optional(&mut *tx).await?;
+        let content: Option<String> = sqlx::query_scalar("DELETE FROM scenes WHERE id = ? RETURNING content_hash")
+            .bind(id)
+            .fetch_optional(&mut *tx)
+            .await?;
         let Some(content) = content else { return Ok(false) };
-        let shared: i64 = sqlx::query_scalar("SELECT count(*) FROM scenes WHERE content_hash = ?").bind(&content).fetch_one(&mut *tx).await?;
+        let shared: i64 = sqlx::query_scalar("SELECT count(*) FROM scenes WHERE content_hash = ?")
+            .bind(&content)
+            .fetch_one(&mut *tx)
+            .await?;
         let mut orphans: Vec<String> = Vec::new();
         if shared == 0 {
-            orphans = sqlx::query_scalar("DELETE FROM parses WHERE content_hash = ? RETURNING id").bind(&content).fetch_all(&mut *tx).await?;
+            orphans = sqlx::query_scalar("DELETE FROM parses WHERE content_hash = ? RETURNING id")
+                .bind(&content)
+                .fetch_all(&mut *tx)
+                .await?;
             sqlx::query("DELETE FROM contents WHERE hash = ?").bind(&content).execute(&mut *tx).await?;
         }
         tx.commit().await?;

@@ -75,7 +75,12 @@ impl Phrase {
         let sizes = self.sizes.iter().map(|s| s.word());
         let colours = self.colours.iter().map(|c| c.word());
         let head = if self.head.is_empty() { "thing" } else { &self.head };
-        sizes.chain(colours).chain(self.unchecked.iter().map(String::as_str)).chain([head]).collect::<Vec<_>>().join(" ")
+        sizes
+            .chain(colours)
+            .chain(self.unchecked.iter().map(String::as_str))
+            .chain([head])
+            .collect::<Vec<_>>()
+            .join(" ")
     }
 
     fn is_empty(&self) -> bool {

@@ -49,7 +49,11 @@ pub fn decide(scene: SceneView, parsed: &ParsedQuery, fits: &[f32], directions: 
 
     let bonds: Vec<Vec<Bond>> = parsed.relations.iter().map(|relation| bonds(scene, relation, fits, &directions, &room)).collect();
     let mut scores: Vec<f32> = (0..scene.instances.len())
-        .map(|i| bonds.iter().fold(fits[i], |score, bond| score * (CONTRADICTED + (1.0 - CONTRADICTED) * bond[i].score)))
+        .map(|i| {
+            bonds
+                .iter()
+                .fold(fits[i], |score, bond| score * (CONTRADICTED + (1.0 - CONTRADICTED) * bond[i].score))
+        })
         .collect();
     if let Some(superlative) = parsed.superlative {
         apply_superlative(scene, superlative, fits, &directions, &mut scores);
@@ -94,7 +98,9 @@ fn no_match(scene: SceneView, scores: Vec<f32>, explanation: String) -> Verdict 
 
 fn why_nothing_fits(parsed: &ParsedQuery) -> String {
     match parsed.target.meaning() {
-        Meaning::Unknown => format!("The built-in encoder does not know what \"{}\" looks like; a model-backed encoder may.", parsed.target.head),
+        Meaning::Unknown => {
+            format!("The built-in encoder does not know what \"{}\" looks like; a model-backed encoder may.", parsed.target.head)
+        }
         _ => format!("Nothing in the room fits \"{}\".", parsed.target.text()),
     }
 }
@@ -111,9 +117,11 @@ fn bonds(scene: SceneView, relation: &Relation, fits: &[f32], directions: &Direc
     let anchors: Vec<Vec<(usize, f32)>> = relation.anchors.iter().map(|phrase| plausible(&phrase_fits(scene, phrase))).collect();
     let free = |score: f32| Bond { score, anchor: None };
     let bonds: Vec<Bond> = match (relation.kind, &anchors[..]) {
-        (RelationKind::AgainstWall | RelationKind::InCorner, _) => {
-            scene.instances.iter().map(|i| free(relations::score(relation.kind, &i.aabb, &[], directions, room))).collect()
-        }
+        (RelationKind::AgainstWall | RelationKind::InCorner, _) => scene
+            .instances
+            .iter()
+            .map(|i| free(relations::score(relation.kind, &i.aabb, &[], directions, room)))
+            .collect(),
         // "near" what? The words are listed; the relation can not be used.
         (_, []) => vec![free(1.0); scene.instances.len()],
         (RelationKind::Closest | RelationKind::Farthest, [first, ..]) => ranked_by_distance(scene, relation.kind, fits, first),
@@ -154,7 +162,10 @@ fn best_bond(scene: SceneView, kind: RelationKind, target: usize, anchors: &[(us
 
 fn between_pair(scene: SceneView, target: usize, a: &[(usize, f32)], b: &[(usize, f32)], directions: &Directions, room: &Room) -> Bond {
     let boxed = |i: usize| &scene.instances[i].aabb;
-    let pairs = a.iter().flat_map(|x| b.iter().map(move |y| (x, y))).filter(|(x, y)| x.0 != y.0 && x.0 != target && y.0 != target);
+    let pairs = a
+        .iter()
+        .flat_map(|x| b.iter().map(move |y| (x, y)))
+        .filter(|(x, y)| x.0 != y.0 && x.0 != target && y.0 != target);
     pairs
         .map(|(&(i, fit_i), &(j, fit_j))| {
             let geometry = relations::score(RelationKind::Between, boxed(target), &[boxed(i), boxed(j)], directions, room);
@@ -229,7 +240,10 @@ fn soft_places(order: &[usize], fits: &[f32]) -> Vec<(usize, f32)> {
 fn beliefs(scores: &[f32]) -> Vec<f32> {
     let total: f32 = scores.iter().map(|s| s.powi(BELIEF_POWER)).sum();
     let best = scores.iter().copied().fold(0.0, f32::max);
-    scores.iter().map(|s| if total > 0.0 { s.powi(BELIEF_POWER) / total * best.sqrt() } else { 0.0 }).collect()
+    scores
+        .iter()
+        .map(|s| if total > 0.0 { s.powi(BELIEF_POWER) / total * best.sqrt() } else { 0.0 })
+        .collect()
 }
 
 /// Whether the instance's own best name means the same as the phrase's noun.
@@ -265,7 +279,11 @@ fn explain(scene: SceneView, parsed: &ParsedQuery, best: usize, fits: &[f32], bo
         _ => fits[best],
     };
     // Writing to a String can not fail.
-    let _ = write!(text, " has the measures of a {} ({noun:.2})", if parsed.target.head.is_empty() { "thing" } else { &parsed.target.head });
+    let _ = write!(
+        text,
+        " has the measures of a {} ({noun:.2})",
+        if parsed.target.head.is_empty() { "thing" } else { &parsed.target.head }
+    );
     for &colour in &parsed.target.colours {
         let _ = write!(text, ", is {} ({:.2})", colour.word(), attributes::colour_fit(colour, instance));
     }
@@ -275,7 +293,8 @@ fn explain(scene: SceneView, parsed: &ParsedQuery, best: usize, fits: &[f32], bo
         match anchor.map(|id| &scene.instances[id.0 as usize - 1]) {
             Some(anchor) => {
                 let gap = instance.aabb.gap(&anchor.aabb);
-                let _ = write!(text, "; {not}{} instance {} ({}), {gap:.2} m apart ({score:.2})", relation.text, anchor.id, described(anchor));
+                let _ =
+                    write!(text, "; {not}{} instance {} ({}), {gap:.2} m apart ({score:.2})", relation.text, anchor.id, described(anchor));
             }
             None => {
                 let _ = write!(text, "; {not}{} ({score:.2})", relation.text);
@@ -295,14 +314,19 @@ fn explain(scene: SceneView, parsed: &ParsedQuery, best: usize, fits: &[f32], bo
 
 fn explain_tie(scene: SceneView, parsed: &ParsedQuery, tied: &[usize]) -> String {
     let ids: Vec<String> = tied.iter().take(6).map(|&i| scene.instances[i].id.to_string()).collect();
-    format!("{} instances fit \"{}\" alike: {}. Say more about the one you mean.", tied.len(), parsed.target.text(), ids.join(", "))
+    format!(
+        "{} instances fit \"{}\" alike: {}. Say more about the one you mean.",
+        tied.len(),
+        parsed.target.text(),
+        ids.join(", ")
+    )
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::boxes::Aabb;
     use crate::geometry::Point3;
+    use crate::geometry::boxes::Aabb;
     use crate::grounding::direction::{DirectionConvention, Observer};
     use crate::grounding::{Grounding, Question, ground};
     use crate::models::attributes::tests::thing;

@@ -48,7 +48,9 @@ pub fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Loaded, IngestError> {
         row.read(reader.into_inner(), vertex.count, &header.encoding, &mut loaded).map_err(malformed)?;
     } else {
         for element in header.elements.values() {
-            let rows = parser.read_payload_for_element(&mut reader, element, &header).map_err(|e| malformed(e.to_string()))?;
+            let rows = parser
+                .read_payload_for_element(&mut reader, element, &header)
+                .map_err(|e| malformed(e.to_string()))?;
             if element.name == "vertex" {
                 rows.iter().for_each(|v| loaded.push(v));
                 break;
@@ -178,7 +180,10 @@ impl Row {
     fn read_ascii(&self, source: impl BufRead, count: usize, loaded: &mut Loaded) -> Result<(), String> {
         let mut lines = source.lines();
         for row in 0..count {
-            let line = lines.next().ok_or_else(|| format!("truncated: {row} of {count} vertices"))?.map_err(|e| format!("vertex {row}: {e}"))?;
+            let line = lines
+                .next()
+                .ok_or_else(|| format!("truncated: {row} of {count} vertices"))?
+                .map_err(|e| format!("vertex {row}: {e}"))?;
             let words: Vec<&str> = line.split_ascii_whitespace().collect();
             if words.len() < self.columns {
                 return Err(format!("vertex {row} has {} values, its header announces {}", words.len(), self.columns));
@@ -193,7 +198,13 @@ impl Row {
         Ok(())
     }
 
-    fn read_binary(&self, mut source: impl BufRead, count: usize, number: fn(&[u8], &ScalarType) -> f64, loaded: &mut Loaded) -> Result<(), String> {
+    fn read_binary(
+        &self,
+        mut source: impl BufRead,
+        count: usize,
+        number: fn(&[u8], &ScalarType) -> f64,
+        loaded: &mut Loaded,
+    ) -> Result<(), String> {
         const BLOCK: usize = 4096;
         let mut block = vec![0; self.bytes * BLOCK];
         let mut left = count;
@@ -271,7 +282,10 @@ mod tests {
         let mut little = header("binary_little_endian", 2, XYZ_RGB);
         let mut big = header("binary_big_endian", 2, XYZ_RGB);
         for (p, c) in points {
-            p.iter().for_each(|v| { little.extend(v.to_le_bytes()); big.extend(v.to_be_bytes()); });
+            p.iter().for_each(|v| {
+                little.extend(v.to_le_bytes());
+                big.extend(v.to_be_bytes());
+            });
             little.extend(c);
             big.extend(c);
         }
@@ -284,7 +298,11 @@ mod tests {
 
     #[test]
     fn property_order_doubles_and_extra_properties_are_fine() {
-        let mut bytes = header("binary_little_endian", 1, "property uchar blue\nproperty double z\nproperty float nx\nproperty double x\nproperty double y\nproperty uchar red\nproperty uchar green\n");
+        let mut bytes = header(
+            "binary_little_endian",
+            1,
+            "property uchar blue\nproperty double z\nproperty float nx\nproperty double x\nproperty double y\nproperty uchar red\nproperty uchar green\n",
+        );
         bytes.push(3);
         bytes.extend(3.0_f64.to_le_bytes());
         bytes.extend(9.0_f32.to_le_bytes());

@@ -24,12 +24,7 @@ pub(super) fn read(root: &Utf8Path) -> Result<Scan, IngestError> {
         .flatten()
         .find(|(stem, _)| !(color.contains_key(stem) && depth.contains_key(stem) && pose.contains_key(stem)));
     if let Some((_, first)) = unpaired {
-        return Err(IngestError::FrameCountMismatch {
-            color: color.len(),
-            depth: depth.len(),
-            pose: pose.len(),
-            first: first.clone(),
-        });
+        return Err(IngestError::FrameCountMismatch { color: color.len(), depth: depth.len(), pose: pose.len(), first: first.clone() });
     }
     let mut frames = Vec::with_capacity(color.len());
     if let Some(first) = color.values().next() {

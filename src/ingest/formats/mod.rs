@@ -106,7 +106,11 @@ fn read_numbers(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<f32>, IngestErro
         _ => IngestError::Io { file: file.to_owned(), source },
     })?;
     text.split_whitespace()
-        .map(|word| word.trim_end_matches(',').parse().map_err(|_| IngestError::malformed(file, format!("{word:?} is not a number"))))
+        .map(|word| {
+            word.trim_end_matches(',')
+                .parse()
+                .map_err(|_| IngestError::malformed(file, format!("{word:?} is not a number")))
+        })
         .collect()
 }
 

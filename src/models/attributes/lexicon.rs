@@ -121,7 +121,10 @@ impl Lexicon {
     /// Every noun a word may mean, the direct one first: "chair" means chairs, office chairs and armchairs.
     #[must_use]
     pub fn find_all(&self, word: &str) -> Vec<&Noun> {
-        singulars(word).iter().find_map(|w| self.by_word.get(w)).map_or_else(Vec::new, |ids| ids.iter().map(|&i| &self.nouns[i]).collect())
+        singulars(word)
+            .iter()
+            .find_map(|w| self.by_word.get(w))
+            .map_or_else(Vec::new, |ids| ids.iter().map(|&i| &self.nouns[i]).collect())
     }
 
     /// How many words the longest entry has.
@@ -131,7 +134,11 @@ impl Lexicon {
     }
 
     fn read(text: &str) -> Self {
-        let nouns: Vec<Noun> = text.lines().filter(|line| !line.starts_with('#') && !line.trim().is_empty()).filter_map(read_line).collect();
+        let nouns: Vec<Noun> = text
+            .lines()
+            .filter(|line| !line.starts_with('#') && !line.trim().is_empty())
+            .filter_map(read_line)
+            .collect();
         let mut by_word: HashMap<String, Vec<usize>> = HashMap::new();
         // Names and synonyms first, kinds after: the direct meaning leads.
         for (i, noun) in nouns.iter().enumerate() {

@@ -41,7 +41,10 @@ pub fn noun_fit(noun: &Noun, instance: &Instance) -> f32 {
         .chain([noun.base.misfit(instance.height_above_floor_m) / BASE_TOLERANCE_M])
         .map(|m| m * m)
         .sum::<f32>();
-    let off_center: f32 = [(noun.long, long), (noun.short, short), (noun.height, height)].iter().map(|(range, v)| range.off_center(*v).powi(2)).sum();
+    let off_center: f32 = [(noun.long, long), (noun.short, short), (noun.height, height)]
+        .iter()
+        .map(|(range, v)| range.off_center(*v).powi(2))
+        .sum();
     let misfit = misfit + OFF_CENTER_WEIGHT * off_center;
     let support = if noun.stands_on(place_of(instance)) { 1.0 } else { ODD_SUPPORT };
     (-0.5 * misfit).exp() * support
@@ -69,7 +72,11 @@ pub fn name_guesses(instance: &Instance) -> Vec<NameGuess> {
         .filter(|(fit, _)| *fit >= MIN_NAME_SCORE)
         .collect();
     scored.sort_by(|a, b| (b.0 * b.1.specificity()).total_cmp(&(a.0 * a.1.specificity())).then(a.1.name.cmp(&b.1.name)));
-    scored.into_iter().take(KEPT_NAMES).map(|(score, noun)| NameGuess { name: noun.name.clone(), score }).collect()
+    scored
+        .into_iter()
+        .take(KEPT_NAMES)
+        .map(|(score, noun)| NameGuess { name: noun.name.clone(), score })
+        .collect()
 }
 
 /// Long and short side of the footprint, metres.

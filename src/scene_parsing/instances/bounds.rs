@@ -13,11 +13,16 @@ pub(super) fn robust(positions: &[Point3<f32>], settings: &InstanceSettings) -> 
     if kept.len() * 2 < positions.len() {
         kept = positions.to_vec();
     }
-    let bound = |q: f32| Point3::from(Vector3::from_fn(|axis, _| quantile(&mut kept.iter().map(|p| p[axis]).collect::<Vec<_>>(), q).unwrap_or(0.0)));
+    let bound = |q: f32| {
+        Point3::from(Vector3::from_fn(|axis, _| quantile(&mut kept.iter().map(|p| p[axis]).collect::<Vec<_>>(), q).unwrap_or(0.0)))
+    };
     let aabb = Aabb::from_corners(bound(settings.trim), bound(1.0 - settings.trim));
     let (lo, hi) = (aabb.min(), aabb.max());
-    let footprint: Vec<Point2<f32>> =
-        kept.iter().map(Point3::xy).filter(|p| (lo.x..=hi.x).contains(&p.x) && (lo.y..=hi.y).contains(&p.y)).collect();
+    let footprint: Vec<Point2<f32>> = kept
+        .iter()
+        .map(Point3::xy)
+        .filter(|p| (lo.x..=hi.x).contains(&p.x) && (lo.y..=hi.y).contains(&p.y))
+        .collect();
     let flat = OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 };
     (aabb, OrientedBox::min_area(&footprint, (lo.z, hi.z)).unwrap_or(flat))
 }
@@ -42,7 +47,9 @@ mod tests {
     use proptest::prelude::*;
 
     fn block() -> Vec<Point3<f32>> {
-        (0..20).flat_map(|x| (0..10).flat_map(move |y| (0..10).map(move |z| Point3::new(x as f32, y as f32, z as f32) * 0.02))).collect()
+        (0..20)
+            .flat_map(|x| (0..10).flat_map(move |y| (0..10).map(move |z| Point3::new(x as f32, y as f32, z as f32) * 0.02)))
+            .collect()
     }
 
     #[test]

@@ -115,7 +115,9 @@ const ON_PLANE_M: f32 = 0.03;
 fn plane(positions: &[Point3<f32>]) -> (Vector3<f32>, f32) {
     let n = positions.len().max(1) as f32;
     let mean = positions.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / n;
-    let scatter = positions.iter().fold(Matrix3::zeros(), |sum, p| sum + (p.coords - mean) * (p.coords - mean).transpose());
+    let scatter = positions
+        .iter()
+        .fold(Matrix3::zeros(), |sum, p| sum + (p.coords - mean) * (p.coords - mean).transpose());
     let eigen = SymmetricEigen::new(scatter / n);
     let normal: Vector3<f32> = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
     let on_plane = positions.iter().filter(|p| (p.coords - mean).dot(&normal).abs() <= ON_PLANE_M).count();

@@ -30,8 +30,7 @@ impl Room {
     pub fn of(shapes: &[Shape]) -> Self {
         // Point-weighted quantiles of the boxes' bounds: one stray instance outside the window must not move the rim.
         let weighted = |of: &dyn Fn(&Shape) -> f32, q: f32| {
-            let mut values: Vec<f32> =
-                shapes.iter().flat_map(|s| std::iter::repeat_n(of(s), (s.point_count / 100 + 1) as usize)).collect();
+            let mut values: Vec<f32> = shapes.iter().flat_map(|s| std::iter::repeat_n(of(s), (s.point_count / 100 + 1) as usize)).collect();
             quantile(&mut values, q).unwrap_or(0.0)
         };
         let rim = [0, 1].map(|axis| (weighted(&|s| s.aabb.min()[axis], 0.02), weighted(&|s| s.aabb.max()[axis], 0.98)));
@@ -40,7 +39,12 @@ impl Room {
         let footprint_m2 = ((rim[0].1 - rim[0].0) * (rim[1].1 - rim[1].0)).max(0.01);
         // The floor is the lowest level plane of some size; without one, the lowest points.
         let level = |s: &&Shape| s.normal.z.abs() > LEVEL && s.planarity > FLAT && area(s) > MIN_LEVEL_SHARE * footprint_m2;
-        let floor_z = shapes.iter().filter(level).map(|s| s.aabb.center.z).min_by(f32::total_cmp).filter(|z| *z < f32::midpoint(lowest_z, top_z));
+        let floor_z = shapes
+            .iter()
+            .filter(level)
+            .map(|s| s.aabb.center.z)
+            .min_by(f32::total_cmp)
+            .filter(|z| *z < f32::midpoint(lowest_z, top_z));
         Self { floor_z: floor_z.unwrap_or(lowest_z), top_z, rim, footprint_m2 }
     }
 

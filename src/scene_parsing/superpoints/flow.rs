@@ -3,8 +3,8 @@
 //! All voxels look at their neighbours' labels of the round before, so a round is parallel and its result does not depend on
 //! the order of work.
 
-use super::{Patch, SuperpointSettings};
 use super::voxel_cloud::VoxelCloud;
+use super::{Patch, SuperpointSettings};
 use crate::geometry::colour::Lab;
 use crate::geometry::voxels::{VoxelKey, VoxelMap};
 use crate::geometry::{Point3, Vector3};
@@ -28,7 +28,10 @@ pub(super) fn grow(voxels: &VoxelCloud, settings: &SuperpointSettings, progress:
     let rounds = (REACH * settings.seed_m / settings.voxel_m).ceil() as usize;
     for round in 0..rounds {
         progress.report("superpoints", round as f32 / rounds as f32)?;
-        let next: Vec<u32> = (0..voxels.len() as u32).into_par_iter().map(|v| best_label(voxels, &labels, &centers, v, settings)).collect();
+        let next: Vec<u32> = (0..voxels.len() as u32)
+            .into_par_iter()
+            .map(|v| best_label(voxels, &labels, &centers, v, settings))
+            .collect();
         if next == labels {
             break;
         }
@@ -60,7 +63,11 @@ fn seeds(voxels: &VoxelCloud, settings: &SuperpointSettings) -> Vec<u32> {
             *best = (distance, v as u32);
         }
     }
-    let mut seeds: Vec<u32> = nearest.into_values().map(|(_, v)| v).filter(|&v| voxels.neighbours(v).len() >= MIN_SEED_NEIGHBOURS).collect();
+    let mut seeds: Vec<u32> = nearest
+        .into_values()
+        .map(|(_, v)| v)
+        .filter(|&v| voxels.neighbours(v).len() >= MIN_SEED_NEIGHBOURS)
+        .collect();
     seeds.sort_unstable();
     seeds
 }

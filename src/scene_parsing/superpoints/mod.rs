@@ -8,6 +8,7 @@ mod region_growing;
 mod voxel_cloud;
 
 use crate::geometry::colour::Lab;
+use crate::geometry::voxels::typical_spacing_m;
 use crate::geometry::{Matrix3, Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::PointCloud;
@@ -20,7 +21,7 @@ use voxel_cloud::VoxelCloud;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct SuperpointSettings {
-    /// Edge of a voxel, metres. Paper: 0.05. Finer follows object borders better, down to the spacing of the points.
+    /// Edge of a voxel, metres. Paper: 0.05. Finer follows object borders better; sparse clouds are cut coarser.
     pub voxel_m: f32,
     /// Distance between seeds, metres.
     pub seed_m: f32,
@@ -52,6 +53,17 @@ impl Default for SuperpointSettings {
         }
     }
 }
+
+impl SuperpointSettings {
+    /// Settings no finer than a cloud bears: voxels smaller than the gaps between points would fall apart into islands.
+    fn coarsened_to(self, spacing_m: f32) -> Self {
+        let ratio = (VOXEL_SPACINGS * spacing_m / self.voxel_m).max(1.0);
+        Self { voxel_m: self.voxel_m * ratio, seed_m: self.seed_m * ratio, ..self }
+    }
+}
+
+/// A voxel spans at least this many typical spacings.
+const VOXEL_SPACINGS: f32 = 1.5;
 
 /// A labelling of the cloud and what is known of each label.
 pub struct Superpoints {
@@ -104,6 +116,7 @@ impl Patch {
 /// [`Cancelled`].
 pub fn compute(cloud: &PointCloud, settings: &SuperpointSettings, progress: &Progress) -> Result<Superpoints, Cancelled> {
     progress.report("superpoints", 0.0)?;
+    let settings = &settings.coarsened_to(typical_spacing_m(&cloud.positions));
     let voxels = VoxelCloud::new(cloud, settings.voxel_m);
     progress.report("superpoints", 0.4)?;
     let labels = flow::grow(&voxels, settings, &progress.part(0.4, 0.8))?;

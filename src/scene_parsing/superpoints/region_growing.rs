@@ -1,7 +1,7 @@
 //! Region growing over supervoxels: flat neighbours of one colour become one superpoint (paper, after GrowSP).
 
-use super::{Patch, SuperpointSettings};
 use super::voxel_cloud::VoxelCloud;
+use super::{Patch, SuperpointSettings};
 use std::collections::VecDeque;
 
 /// Joins supervoxels that continue each other; returns voxel labels `0..n`.

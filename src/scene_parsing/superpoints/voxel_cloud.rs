@@ -103,7 +103,10 @@ impl VoxelCloud {
     pub fn adjacent_labels(&self, labels: &[u32]) -> Vec<(u32, u32)> {
         let touching = |v: usize| {
             let own = labels[v];
-            self.neighbours(v as u32).iter().map(move |&n| (own.min(labels[n as usize]), own.max(labels[n as usize]))).filter(|(a, b)| a != b)
+            self.neighbours(v as u32)
+                .iter()
+                .map(move |&n| (own.min(labels[n as usize]), own.max(labels[n as usize])))
+                .filter(|(a, b)| a != b)
         };
         let mut pairs: Vec<_> = (0..self.len()).into_par_iter().flat_map_iter(touching).collect();
         let count = labels.iter().max().map_or(0, |&l| l as usize + 1);

@@ -81,7 +81,8 @@ impl Surfaces {
                 let (u, v) = (u + du * k, v + dv * k);
                 let j = (v * w + u) as usize;
                 let inside = (0..w).contains(&u) && (0..h).contains(&v);
-                (inside && self.depth_m[j] > 0.0 && (self.depth_m[j] - z).abs() < 0.02 * z + 3.0 * self.spacing_per_m * z * k.abs() as f32).then(|| self.points[j])
+                (inside && self.depth_m[j] > 0.0 && (self.depth_m[j] - z).abs() < 0.02 * z + 3.0 * self.spacing_per_m * z * k.abs() as f32)
+                    .then(|| self.points[j])
             };
             // Mean slope over the window: pairs (-k, +k), one-sided at borders.
             let mut sum = Vector3::zeros();
@@ -103,7 +104,9 @@ impl Surfaces {
                     return Vector3::zeros();
                 }
                 let reach = (2.0 + z).round().clamp(2.0, 6.0) as i32;
-                let normal = tangent(i, 1, 0, reach).zip(tangent(i, 0, 1, reach)).and_then(|(u, v)| u.cross(&v).try_normalize(1e-12));
+                let normal = tangent(i, 1, 0, reach)
+                    .zip(tangent(i, 0, 1, reach))
+                    .and_then(|(u, v)| u.cross(&v).try_normalize(1e-12));
                 // u x v looks away from the camera (x right, y down, z forward): turn it around where needed.
                 normal.map_or(Vector3::zeros(), |n| if n.dot(&self.points[i].coords) > 0.0 { -n } else { n })
             })

@@ -69,7 +69,11 @@ pub(super) fn join(surfaces: &Surfaces, patches: &[u32], settings: &RgbdSettings
             }
             for (from, to) in [(root, other), (other, root)] {
                 let sum = borders[from as usize].entry(to).or_default();
-                *sum = Border { links: sum.links + border.links, continuous: sum.continuous + border.continuous, bend: sum.bend + border.bend };
+                *sum = Border {
+                    links: sum.links + border.links,
+                    continuous: sum.continuous + border.continuous,
+                    bend: sum.bend + border.bend,
+                };
             }
         }
         for (&other, border) in &borders[root as usize] {
@@ -89,17 +93,18 @@ fn cost(a: &Region, b: &Region, border: &Border, settings: &RgbdSettings) -> f32
     let colour = (a.lab - b.lab).norm() / settings.join_colour;
     let bend_deg = (border.bend / border.continuous).to_degrees();
     let concave = bend_deg.max(0.0) / settings.join_concave_deg;
-    // What rests on a plane is another thing, however smooth the contact; two parts of one plane are one thing.
+    // What rests on a plane meets it in a valley and is another thing; sides of a box meet in a ridge and are one.
     let planes = [a, b].map(|r| r.area_m2 >= settings.plane_area_m2 && r.is_flat());
     let apart = match planes {
+        _ if bend_deg < SAME_PLANE_DEG => 0.0,
+        [true, true] => 1.0,
         [false, false] => 0.0,
-        [true, true] => if bend_deg.abs() < SAME_PLANE_DEG { 0.0 } else { 1.0 },
         _ => 0.3,
     };
     colour + concave + apart
 }
 
-/// Border bend under which two planes are one.
+/// Concave bend above which a plane ends.
 const SAME_PLANE_DEG: f32 = 8.0;
 
 impl Region {

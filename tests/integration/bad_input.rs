@@ -1,0 +1,240 @@
+//! Archives that can not become a scene: each is refused with a stable code and a message that names the culprit, and
+//! nothing of it is stored.
+
+use crate::archives::{Scan, ply_header};
+use crate::server::{TestServer, ask, finished, problem};
+use std::io::{Cursor, Write};
+use uniground::config::LimitsConfig;
+use uniground::store::JobState;
+
+const ZIP: &str = "application/zip";
+
+fn zip_with_entry(name: &str) -> Vec<u8> {
+    let mut zip = zip::ZipWriter::new(Cursor::new(Vec::new()));
+    zip.start_file(name, zip::write::SimpleFileOptions::default()).unwrap();
+    zip.write_all(b"x").unwrap();
+    zip.finish().unwrap().into_inner()
+}
+
+/// What is uploaded as what, and the code and the words of the refusal.
+fn refused() -> Vec<(&'static str, &'static str, Vec<u8>, u16, &'static str, &'static str)> {
+    let scan = Scan::frames_only;
+    let whole = scan().zip();
+    let truncated = whole[..whole.len() * 2 / 3].to_vec();
+    vec![
+        ("not an archive", ZIP, b"hello".to_vec(), 422, "archive_unreadable", "zip"),
+        ("nothing at all", ZIP, Vec::new(), 422, "archive_unreadable", "zip"),
+        ("a zip cut short", ZIP, truncated, 422, "archive_unreadable", "zip"),
+        ("a zip called tar", "application/x-tar", whole.clone(), 422, "archive_unreadable", "tar"),
+        ("a tar called zst", "application/zstd", scan().tar(), 422, "archive_unreadable", "tar.zst"),
+        ("no media type we know", "text/html", whole, 415, "unsupported_media_type", "text/html"),
+        ("a path out of the archive", ZIP, zip_with_entry("../../evil.txt"), 422, "archive_entry_unsafe", "evil.txt"),
+        ("an absolute path", ZIP, zip_with_entry("/etc/evil"), 422, "archive_entry_unsafe", "/etc/evil"),
+        ("holiday photos", ZIP, zip_with_entry("beach.jpg"), 422, "unknown_layout", "beach.jpg"),
+        ("no intrinsics", ZIP, scan().without("intrinsic.txt").zip(), 422, "intrinsics_missing", "intrinsic.txt"),
+        (
+            "half a camera matrix",
+            ZIP,
+            scan().with("intrinsic.txt", "100 0 59.5").zip(),
+            422,
+            "scene_file_malformed",
+            "intrinsic.txt",
+        ),
+        (
+            "words for numbers",
+            ZIP,
+            scan().edit("intrinsic.txt", "44.5", "middle").zip(),
+            422,
+            "scene_file_malformed",
+            "middle",
+        ),
+        (
+            "a focal length of zero",
+            ZIP,
+            scan().with("intrinsic.txt", "0 0 59.5 0 0 44.5 0 0 1").zip(),
+            422,
+            "intrinsics_invalid",
+            "color/0.png",
+        ),
+        (
+            "another camera's matrix",
+            ZIP,
+            scan().edit("intrinsic.txt", "59.5", "900").zip(),
+            422,
+            "intrinsics_invalid",
+            "outside 120x90",
+        ),
+        ("a pose too few", ZIP, scan().without("pose/3.txt").zip(), 422, "frame_count_mismatch", "color/3.png"),
+        ("a picture too few", ZIP, scan().without("color/7.png").zip(), 422, "frame_count_mismatch", "depth/7.png"),
+        ("a pose of NaN", ZIP, scan().with("pose/2.txt", "nan ".repeat(16)).zip(), 422, "pose_invalid", "pose/2.txt"),
+        ("a short pose", ZIP, scan().with("pose/2.txt", "1 0 0 0").zip(), 422, "scene_file_malformed", "pose/2.txt"),
+        (
+            "a mirrored pose",
+            ZIP,
+            scan().with("pose/2.txt", "-1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1").zip(),
+            422,
+            "pose_invalid",
+            "frame 2",
+        ),
+        (
+            "a picture that is none",
+            ZIP,
+            scan().with("color/5.png", "tea").zip(),
+            422,
+            "scene_file_malformed",
+            "color/5.png",
+        ),
+        ("all poses lost", ZIP, lost_everywhere().zip(), 422, "no_usable_frames", "8 poses"),
+        (
+            "a manifest that is no JSON",
+            ZIP,
+            Scan::neutral().with("scene.json", "{").zip(),
+            422,
+            "scene_file_malformed",
+            "scene.json",
+        ),
+        (
+            "an unknown field",
+            ZIP,
+            Scan::neutral().edit("scene.json", "\"up\"", "\"upp\"").zip(),
+            422,
+            "scene_file_malformed",
+            "upp",
+        ),
+        (
+            "another format",
+            ZIP,
+            Scan::neutral().edit("scene.json", "scene/1", "scene/9").zip(),
+            422,
+            "scene_file_malformed",
+            "uniground-scene/9",
+        ),
+        (
+            "no intrinsics in the manifest",
+            ZIP,
+            Scan::neutral().edit("scene.json", "\"intrinsics\"", "\"depth_intrinsics\"").zip(),
+            422,
+            "intrinsics_missing",
+            "frame 0",
+        ),
+        (
+            "a file that is not there",
+            ZIP,
+            Scan::neutral().edit("scene.json", "depth/4.png", "depth/44.png").zip(),
+            422,
+            "scene_file_missing",
+            "depth/44.png",
+        ),
+        (
+            "a manifest that looks outside",
+            ZIP,
+            Scan::neutral().edit("scene.json", "pose/4.txt", "../4.txt").zip(),
+            422,
+            "archive_entry_unsafe",
+            "../4.txt",
+        ),
+        ("no frames and no points", ZIP, empty_manifest().zip(), 422, "scene_empty", "no frames and no points"),
+    ]
+}
+
+fn lost_everywhere() -> Scan {
+    (0..8).fold(Scan::frames_only(), |scan, i| scan.with(&format!("pose/{i}.txt"), "-inf ".repeat(16)))
+}
+
+fn empty_manifest() -> Scan {
+    Scan(std::collections::BTreeMap::new()).with("scene.json", r#"{"format": "uniground-scene/1"}"#)
+}
+
+#[tokio::test]
+async fn broken_archives_are_refused_by_name_and_leave_nothing_behind() {
+    let server = TestServer::start().await;
+    for (what, media_type, archive, status, code, words) in refused() {
+        let refusal = problem(server.client.create_scene(None, media_type, archive).await);
+        assert_eq!((refusal.status, refusal.code.as_str()), (status, code), "{what}: {}", refusal.detail);
+        assert!(refusal.detail.contains(words), "{what}: {:?} does not name {words:?}", refusal.detail);
+        assert!(refusal.request_id.is_some(), "{what}");
+    }
+    assert_eq!(server.client.scenes(10, None).await.unwrap().scenes, []);
+    assert_eq!((server.stored("blobs/contents"), server.stored("tmp")), (vec![], vec![]));
+    assert!(server.client.bytes("readyz").await.is_ok());
+    server.stop().await;
+}
+
+/// What only shows when pictures and clouds are decoded fails the job, with the same care.
+#[tokio::test]
+async fn what_shows_only_while_parsing_fails_the_job_by_name() {
+    let server = TestServer::start().await;
+    let png = &Scan::frames_only().0["depth/6.png"];
+    let cut_png = png[..png.len() / 2].to_vec();
+    let no_depth = (0..8).fold(Scan::frames_only(), |scan, i| scan.with(&format!("depth/{i}.png"), blank_depth()));
+    let inverse = (0..8).fold(Scan::frames_only().with("cloud.ply", crate::archives::cloud()), |scan, i| invert_pose(scan, i));
+    for (what, scan, code, words) in [
+        (
+            "a depth picture cut short",
+            Scan::frames_only().with("depth/6.png", cut_png),
+            "frame_unreadable",
+            "depth/6.png",
+        ),
+        ("an empty cloud", Scan::cloud_only().with("cloud.ply", ply_header(0)), "cloud_empty", "cloud.ply"),
+        ("a cloud cut short", Scan::cloud_only().with("cloud.ply", ply_header(5)), "scene_file_malformed", "cloud.ply"),
+        ("a cloud that is none", Scan::cloud_only().with("cloud.ply", "hello"), "scene_file_malformed", "cloud.ply"),
+        (
+            "an empty cloud beside frames",
+            Scan::frames_only().with("cloud.ply", ply_header(0)),
+            "cloud_empty",
+            "cloud.ply",
+        ),
+        ("no depth anywhere", no_depth, "no_usable_frames", "depth"),
+        ("poses the wrong way round", inverse, "convention_mismatch", "world_to_camera"),
+    ] {
+        let created = server.client.create_scene(None, ZIP, scan.zip()).await.unwrap();
+        let job = finished(&server.client, &created.job.unwrap().id).await;
+        let error = job.error.unwrap_or_else(|| panic!("{what}: {:?}", job.message));
+        assert_eq!((job.state, error.code.as_str()), (JobState::Failed, code), "{what}: {}", error.detail);
+        assert!(error.detail.contains(words), "{what}: {:?} does not name {words:?}", error.detail);
+        let scene = server.client.scene(&created.scene.id).await.unwrap();
+        assert_eq!(scene.error, Some(error), "{what}");
+        assert_eq!(problem(server.client.ground(&scene.id, &ask("the sofa")).await).code, "scene_not_ready", "{what}");
+    }
+    assert_eq!((server.stored("blobs/parses"), server.stored("tmp")), (vec![], vec![]));
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn lost_poses_and_lone_frames_are_accepted_with_a_warning() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::frames_only().with("pose/3.txt", "-inf ".repeat(16)).zip()).await;
+    let import = scene.import.unwrap();
+    assert_eq!((import.frames, import.frames_skipped), (7, 1));
+    assert!(import.warnings.iter().any(|w| w.contains("1 of 8 frames skipped")), "{:?}", import.warnings);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn an_upload_over_the_limit_is_cut_off() {
+    let server = TestServer::start_with(LimitsConfig { max_upload_bytes: 1000, ..LimitsConfig::default() }).await;
+    let refusal = problem(server.client.create_scene(None, ZIP, Scan::neutral().zip()).await);
+    assert_eq!((refusal.status, refusal.code.as_str()), (413, "upload_too_large"));
+    assert_eq!(server.stored("tmp"), Vec::<String>::new());
+    server.stop().await;
+}
+
+fn blank_depth() -> Vec<u8> {
+    let mut bytes = Cursor::new(Vec::new());
+    let blank = image::ImageBuffer::<image::Luma<u16>, _>::new(120, 90);
+    image::DynamicImage::from(blank).write_to(&mut bytes, image::ImageFormat::Png).unwrap();
+    bytes.into_inner()
+}
+
+/// World-to-camera where the layout promises camera-to-world.
+fn invert_pose(scan: Scan, i: usize) -> Scan {
+    let name = format!("pose/{i}.txt");
+    let text = String::from_utf8(scan.0[&name].clone()).unwrap();
+    let values: Vec<f32> = text.split_whitespace().map(|v| v.parse().unwrap()).collect();
+    let inverse = nalgebra::Matrix4::from_row_slice(&values).try_inverse().unwrap();
+    let rows = inverse
+        .row_iter()
+        .map(|r| r.iter().map(|v| format!("{v:.6} ")).collect::<String>())
+        .collect::<Vec<_>>();
+    scan.with(&name, rows.join("\n"))
+}

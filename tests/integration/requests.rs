@@ -1,0 +1,125 @@
+//! Requests that are wrong: a problem each, and the server goes on.
+
+use crate::archives::Scan;
+use crate::server::{TestServer, ask, post_raw, problem};
+use reqwest::Method;
+
+#[tokio::test]
+async fn wrong_questions_are_named_by_field() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let path = format!("v1/scenes/{}/ground", scene.id);
+    let long = format!(r#"{{"query": "{}"}}"#, "x".repeat(10_000));
+    for (body, status, code, pointer) in [
+        ("{", 400, "malformed_json", None),
+        ("", 400, "malformed_json", None),
+        (r#"{"query": "a"} trailing"#, 400, "malformed_json", None),
+        ("[]", 422, "invalid_request", Some("")),
+        ("{}", 422, "invalid_request", Some("")),
+        (r#"{"query": ""}"#, 422, "invalid_request", Some("/query")),
+        (r#"{"query": "   "}"#, 422, "invalid_request", Some("/query")),
+        (&long, 422, "invalid_request", Some("/query")),
+        (r#"{"query": 7}"#, 422, "invalid_request", Some("/query")),
+        (r#"{"query": "the sofa", "top_k": 0}"#, 422, "invalid_request", Some("/top_k")),
+        (r#"{"query": "the sofa", "top_k": 1000000}"#, 422, "invalid_request", Some("/top_k")),
+        (r#"{"query": "the sofa", "top_k": -1}"#, 422, "invalid_request", Some("/top_k")),
+        (r#"{"query": "the sofa", "top-k": 1}"#, 422, "invalid_request", Some("/top-k")),
+        (r#"{"query": "the sofa", "reasoner": "oracle"}"#, 422, "invalid_request", Some("/reasoner")),
+        (
+            r#"{"query": "the sofa", "observer": {"position": [0, 0], "yaw_rad": 0}}"#,
+            422,
+            "invalid_request",
+            Some("/observer/position"),
+        ),
+        (r#"{"query": "the sofa", "timeout_s": 0}"#, 422, "invalid_request", Some("/timeout_s")),
+        (r#"{"query": "the sofa", "max_cost_usd": -1}"#, 422, "invalid_request", Some("/max_cost_usd")),
+        (r#"{"query": "the sofa", "reasoner": "vlm"}"#, 502, "vlm_unavailable", None),
+    ] {
+        let refusal = post_raw(&server.client, &path, "application/json", body).await;
+        let shown = &body[..body.len().min(80)];
+        assert_eq!((refusal.status, refusal.code.as_str()), (status, code), "{shown}: {}", refusal.detail);
+        if let Some(pointer) = pointer {
+            assert_eq!(refusal.errors[0].pointer, pointer, "{shown}: {}", refusal.detail);
+        }
+    }
+    let form = post_raw(&server.client, &path, "application/x-www-form-urlencoded", "query=sofa").await;
+    assert_eq!((form.status, form.code.as_str()), (415, "unsupported_media_type"));
+    // Odd words are questions too.
+    for query in ["🛋️🛋️🛋️", "'; DROP TABLE scenes; --", "the the of of", "ソファはどこ", "the sofa left of left of the sofa not not"]
+    {
+        server.client.ground(&scene.id, &ask(query)).await.unwrap();
+    }
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn unknown_things_are_not_found() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let nobody = "018f0000-0000-7000-8000-000000000000";
+    for (path, code) in [
+        (format!("v1/scenes/{nobody}"), "scene_not_found"),
+        ("v1/scenes/not-an-id".into(), "scene_not_found"),
+        (format!("v1/scenes/{nobody}/instances"), "scene_not_found"),
+        (format!("v1/scenes/{}/instances/9999", scene.id), "instance_not_found"),
+        (format!("v1/scenes/{}/instances/0", scene.id), "instance_not_found"),
+        (format!("v1/scenes/{}/instances/first", scene.id), "not_found"),
+        (format!("v1/scenes/{}/instances/1/views/99.jpg", scene.id), "view_not_found"),
+        (format!("v1/scenes/{}/instances/1/views/0.gif", scene.id), "view_not_found"),
+        (format!("v1/jobs/{nobody}"), "job_not_found"),
+        (format!("v1/jobs/{nobody}/events"), "job_not_found"),
+        (format!("v1/answers/{nobody}"), "answer_not_found"),
+        (format!("v1/answers/{nobody}/evidence/global.jpg"), "answer_not_found"),
+        ("v1/rooms".into(), "no_such_route"),
+    ] {
+        let refusal = problem(server.client.bytes(&path).await);
+        assert_eq!((refusal.status, refusal.code.as_str()), (404, code), "{path}: {}", refusal.detail);
+    }
+    assert_eq!(problem(server.client.cancel_job(nobody).await).code, "job_not_found");
+    assert_eq!(problem(server.client.ground(nobody, &ask("the sofa")).await).code, "scene_not_found");
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn wrong_methods_parameters_and_settings_are_problems() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let response = server.client.request(Method::PUT, "v1/scenes").send().await.unwrap();
+    assert_eq!((response.status().as_u16(), response.headers()["allow"].to_str().unwrap().contains("POST")), (405, true));
+    assert_eq!(response.headers()["content-type"], "application/problem+json");
+
+    for path in ["v1/scenes?limit=0", "v1/scenes?limit=many", "v1/scenes?size=3"] {
+        let refusal = problem(server.client.bytes(path).await);
+        assert_eq!((refusal.status, refusal.code.as_str()), (422, "invalid_request"), "{path}: {}", refusal.detail);
+    }
+    let parse = format!("v1/scenes/{}/parse", scene.id);
+    for (body, pointer) in [
+        (r#"{"settings": {"parsing": {"merging": {"thresholds": []}}}}"#, "/settings/parsing/merging/thresholds"),
+        (r#"{"settings": {"parsing": {"merging": {"threshold": 1}}}}"#, "/settings/parsing/merging/threshold"),
+        (r#"{"preset": "fancy"}"#, "/preset"),
+    ] {
+        let refusal = post_raw(&server.client, &parse, "application/json", body).await;
+        assert_eq!((refusal.status, refusal.errors[0].pointer.as_str()), (422, pointer), "{}", refusal.detail);
+    }
+    assert_eq!(problem(server.client.rename_scene(&scene.id, " ").await).errors[0].pointer, "/name");
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn every_response_carries_its_request_id() {
+    let server = TestServer::start().await;
+    for path in ["healthz", "readyz", "openapi.json", "docs/", "v1/scenes", "v1/nowhere"] {
+        let response = server.client.request(Method::GET, path).send().await.unwrap();
+        assert!(response.headers().contains_key("x-request-id"), "{path}");
+    }
+    let named = server
+        .client
+        .request(Method::GET, "v1/nowhere")
+        .header("x-request-id", "my-own-id")
+        .send()
+        .await
+        .unwrap();
+    assert_eq!(named.headers()["x-request-id"], "my-own-id");
+    assert_eq!(named.json::<serde_json::Value>().await.unwrap()["request_id"], "my-own-id");
+    server.stop().await;
+}

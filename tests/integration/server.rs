@@ -1,0 +1,134 @@
+//! A server of its own for every test: in this process, or as a process that can be killed.
+
+use camino::{Utf8Path, Utf8PathBuf};
+use reqwest::Method;
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+use uniground::app::{self, RunningService};
+use uniground::client::{Client, ClientError};
+use uniground::config::{AccessConfig, LimitsConfig, LogConfig, LogFormat, ServeConfig};
+use uniground::http::Problem;
+use uniground::jobs::Job;
+use uniground::service::{GroundRequest, Scene};
+
+/// A running server with a fresh data folder.
+pub struct TestServer {
+    pub client: Client,
+    running: RunningService,
+    data: tempfile::TempDir,
+}
+
+impl TestServer {
+    pub async fn start() -> Self {
+        Self::start_with(LimitsConfig::default()).await
+    }
+
+    pub async fn start_with(limits: LimitsConfig) -> Self {
+        let data = tempfile::tempdir().unwrap();
+        let config = ServeConfig {
+            listen: "127.0.0.1:0".parse().unwrap(),
+            data_dir: Utf8PathBuf::try_from(data.path().to_owned()).unwrap(),
+            access: AccessConfig::default(),
+            limits,
+            log: LogConfig { log_format: LogFormat::Text },
+        };
+        let running = app::start(&config).await.unwrap();
+        let client = Client::new(&format!("http://{}", running.address), None).unwrap();
+        Self { client, running, data }
+    }
+
+    pub fn data(&self) -> &Utf8Path {
+        Utf8Path::from_path(self.data.path()).unwrap()
+    }
+
+    pub fn url(&self) -> String {
+        format!("http://{}", self.running.address)
+    }
+
+    /// Uploads an archive and waits until it is parsed.
+    pub async fn parsed(&self, archive: Vec<u8>) -> Scene {
+        parsed(&self.client, "application/zip", archive).await
+    }
+
+    /// Names of the entries of a folder below the data folder.
+    pub fn stored(&self, folder: &str) -> Vec<String> {
+        let entries = self.data().join(folder).read_dir_utf8().unwrap();
+        entries.map(|entry| entry.unwrap().file_name().to_owned()).collect()
+    }
+
+    pub async fn stop(self) {
+        self.running.stop().await.unwrap();
+    }
+}
+
+pub async fn parsed(client: &Client, media_type: &str, archive: Vec<u8>) -> Scene {
+    let created = client.create_scene(None, media_type, archive).await.unwrap();
+    let job = finished(client, &created.job.unwrap().id).await;
+    assert_eq!(job.error, None, "{job:?}");
+    client.scene(&created.scene.id).await.unwrap()
+}
+
+pub async fn finished(client: &Client, job_id: &str) -> Job {
+    client.follow_job(job_id, |_| {}).await.unwrap()
+}
+
+pub fn ask(query: &str) -> GroundRequest {
+    serde_json::from_value(serde_json::json!({ "query": query })).unwrap()
+}
+
+/// The problem a call ended with.
+pub fn problem<T: std::fmt::Debug>(result: Result<T, ClientError>) -> Problem {
+    match result {
+        Err(ClientError::Problem(problem)) => *problem,
+        other => panic!("expected a problem, got {other:?}"),
+    }
+}
+
+/// Sends raw bytes as JSON and returns the problem.
+pub async fn post_raw(client: &Client, path: &str, media_type: &str, body: &str) -> Problem {
+    let request = client.request(Method::POST, path).header("content-type", media_type).body(body.to_owned());
+    let response = request.send().await.unwrap();
+    let content_type = response.headers()["content-type"].to_str().unwrap().to_owned();
+    let text = response.text().await.unwrap();
+    assert_eq!(content_type, "application/problem+json", "{text}");
+    serde_json::from_str(&text).unwrap()
+}
+
+/// The binary itself, for tests that kill it.
+pub struct Process {
+    pub client: Client,
+    pub child: Child,
+}
+
+impl Process {
+    pub fn start(data: &Utf8Path) -> Self {
+        let mut child = command(data, "127.0.0.1:0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        let address = line
+            .trim()
+            .strip_prefix("listening on ")
+            .unwrap_or_else(|| panic!("unexpected first line {line:?}"));
+        Self { client: Client::new(address, None).unwrap(), child }
+    }
+
+    /// SIGKILL: no chance to tidy up.
+    pub fn kill(mut self) {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+    }
+
+    /// SIGTERM; the exit code.
+    pub fn terminate(mut self) -> Option<i32> {
+        Command::new("kill").arg(self.child.id().to_string()).status().unwrap();
+        self.child.wait().unwrap().code()
+    }
+}
+
+pub fn command(data: &Utf8Path, listen: &str) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
+    command
+        .args(["serve", "--listen", listen, "--data-dir", data.as_str()])
+        .env_remove("UNIGROUND_API_KEY");
+    command
+}

@@ -1,0 +1,241 @@
+//! What a user does on a good day.
+
+use crate::archives::Scan;
+use crate::server::{TestServer, ask, finished, parsed, problem};
+use reqwest::Method;
+use serde_json::json;
+use uniground::grounding::Status;
+use uniground::scene::InstanceId;
+use uniground::service::{SceneStatus, ShortlistRequest};
+use uniground::store::JobState;
+
+#[tokio::test]
+async fn upload_parse_ask_and_look() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    assert_eq!((scene.name.as_str(), scene.status, scene.parse_version), ("test room", SceneStatus::Ready, 1));
+    let import = scene.import.unwrap();
+    assert_eq!((import.format.as_str(), import.frames, import.cloud_points), ("uniground-scene/1", 8, None));
+    assert!(import.reprojection_agreement.unwrap() > 0.5, "{import:?}");
+
+    let instances = server.client.instances(&scene.id, 1000).await.unwrap().instances;
+    assert_eq!(scene.counts.unwrap().instances as usize, instances.len());
+    let ids: Vec<u32> = instances.iter().map(|i| i.id.0).collect();
+    assert_eq!(ids, (1..=instances.len() as u32).collect::<Vec<_>>());
+
+    let answer = server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
+    assert_eq!(answer.status, Status::Grounded, "{answer:?}");
+    let aabb = answer.aabb.unwrap();
+    // The sofa of the test room spans (-1, 0.6, 0) to (1, 1.5, 0.8).
+    assert!((aabb.center - uniground::geometry::Point3::new(0.0, 1.05, 0.4)).norm() < 0.15, "{aabb:?}");
+    assert!((aabb.size - uniground::geometry::Vector3::new(2.0, 0.9, 0.8)).norm() < 0.25, "{aabb:?}");
+    let oriented = answer.oriented_box.unwrap();
+    assert!(oriented.yaw_rad.abs() < 0.1 && (oriented.center - aabb.center).norm() < 0.1, "{oriented:?}");
+    assert_eq!(answer.models.reasoner, "builtin-1");
+
+    assert_eq!(server.client.answer(&answer.id).await.unwrap(), answer);
+    let picture = server.client.bytes(&answer.evidence.unwrap()[0]).await.unwrap();
+    let picture = image::load_from_memory(&picture).unwrap().into_rgb8();
+    let green = picture.pixels().filter(|p| p.0[1] > 120 && p.0[0] < 60 && p.0[2] < 110).count();
+    assert!(green > 500, "the answer's box is not in the picture ({green} green pixels)");
+
+    let sofa = answer.answer.predicted_id.unwrap();
+    for picture in ["frame", "crop"] {
+        let bytes = server
+            .client
+            .bytes(&format!("v1/scenes/{}/instances/{sofa}/views/0.jpg?picture={picture}", scene.id))
+            .await
+            .unwrap();
+        let image = image::load_from_memory(&bytes).unwrap().into_rgb8();
+        let red = image.pixels().filter(|p| p.0[0] > 120 && p.0[1] < 80).count();
+        assert!(red as f32 > 0.1 * (image.width() * image.height()) as f32, "{picture} does not show the red sofa");
+    }
+    for file in ["cloud.ply", "instances.ply"] {
+        let ply = server.client.bytes(&format!("v1/scenes/{}/{file}", scene.id)).await.unwrap();
+        assert!(ply.starts_with(b"ply\n") && ply.len() > 10_000, "{file}");
+    }
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn the_six_fields_tell_what_was_decided() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let grounded = server.client.ground(&scene.id, &ask("the trash can farthest from the sofa")).await.unwrap().answer;
+    assert!(
+        grounded.predicted_id.is_some() && grounded.anchor_id.is_some() && grounded.predicted_id != grounded.anchor_id,
+        "{grounded:?}"
+    );
+    assert_eq!(grounded.relation_used.as_deref(), Some("farthest from the sofa"));
+    assert!(!grounded.explanation.is_empty() && !grounded.candidate_names.is_empty());
+
+    let absent = server.client.ground(&scene.id, &ask("the green sofa")).await.unwrap();
+    assert_eq!((absent.status, absent.aabb, absent.answer.predicted_id), (Status::NoMatch, None, None), "{absent:?}");
+
+    let request = serde_json::from_value(json!({"query": "the red sofa", "top_k": 2, "include": ["trace"]})).unwrap();
+    let short = server.client.ground(&scene.id, &request).await.unwrap();
+    assert_eq!((short.candidates, short.evidence, short.trace.is_some()), (None, None, true));
+    // What is left out of a reply is kept all the same.
+    assert!(server.client.answer(&short.id).await.unwrap().candidates.unwrap().len() <= 2);
+
+    let shortlist = server
+        .client
+        .shortlist(&scene.id, &ShortlistRequest { query: "red sofa".into(), top_k: 3 })
+        .await
+        .unwrap();
+    assert_eq!(shortlist.candidates[0].id, short.answer.predicted_id.unwrap());
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn every_container_and_layout_gives_the_same_scene() {
+    let server = TestServer::start().await;
+    let zip = server.parsed(Scan::neutral().zip()).await;
+    let reference = server.client.instances(&zip.id, 1000).await.unwrap();
+    let plain = Scan::frames_only();
+    let nested = Scan(plain.0.iter().map(|(name, content)| (format!("my room/{name}"), content.clone())).collect());
+    for (media_type, archive) in [
+        ("application/x-tar", Scan::neutral().tar()),
+        ("application/zstd", Scan::neutral().tar_zst()),
+        ("application/zip", plain.zip()),
+        ("application/zip", nested.zip()),
+    ] {
+        let scene = parsed(&server.client, media_type, archive).await;
+        assert_eq!(
+            server.client.instances(&scene.id, 1000).await.unwrap(),
+            reference,
+            "{media_type} {}",
+            scene.import.unwrap().format
+        );
+    }
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_cloud_alone_is_a_scene_without_pictures() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::cloud_only().zip()).await;
+    assert!(scene.report.unwrap().warnings.iter().any(|w| w.contains("no frames")));
+    let instances = server.client.instances(&scene.id, 1000).await.unwrap().instances;
+    // The sofa's top is its largest surface: red, 2.0 x 0.9 m, at 0.8 m.
+    let top = instances.iter().find(|i| i.mean_rgb[0] > 150 && (i.aabb.center.z - 0.8).abs() < 0.05).unwrap();
+    assert!((top.aabb.size.xy() - uniground::geometry::Vector2::new(2.0, 0.9)).norm() < 0.1, "{top:?}");
+    let missing = server.client.bytes(&format!("v1/scenes/{}/instances/{}/views/0.jpg", scene.id, top.id)).await;
+    assert_eq!(problem(missing).code, "view_not_found");
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn the_same_content_and_settings_are_parsed_once() {
+    let server = TestServer::start().await;
+    let first = server.parsed(Scan::neutral().zip()).await;
+    let again = server.client.create_scene(Some("again"), "application/zip", Scan::neutral().zip()).await.unwrap();
+    let job = again.job.unwrap();
+    assert_eq!(
+        (again.scene.status, job.state, job.started_at == job.finished_at),
+        (SceneStatus::Ready, JobState::Succeeded, true)
+    );
+    assert_eq!(again.scene.content_hash, first.content_hash);
+    assert_eq!((server.stored("blobs/contents").len(), server.stored("blobs/parses").len()), (1, 1));
+
+    let other = server
+        .client
+        .parse(&first.id, &json!({"settings": {"parsing": {"superpoints": {"seed_m": 0.3}}}}))
+        .await
+        .unwrap();
+    assert_eq!(finished(&server.client, &other.id).await.state, JobState::Succeeded);
+    let reparsed = server.client.scene(&first.id).await.unwrap();
+    assert_eq!((reparsed.parse_version, reparsed.settings.unwrap().parsing.superpoints.seed_m), (2, 0.3));
+    assert_eq!(server.stored("blobs/parses").len(), 2);
+
+    // Both scenes share the content: it stays until the last one goes.
+    server.client.delete_scene(&first.id).await.unwrap();
+    assert!(server.client.ground(&again.scene.id, &ask("the red sofa")).await.unwrap().aabb.is_some());
+    server.client.delete_scene(&again.scene.id).await.unwrap();
+    assert_eq!((server.stored("blobs/contents").len(), server.stored("blobs/parses").len()), (0, 0));
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn an_idempotency_key_makes_one_scene() {
+    let server = TestServer::start().await;
+    let post = || async {
+        let request = server.client.request(Method::POST, "v1/scenes?name=once").header("content-type", "application/zip");
+        let response = request.header("idempotency-key", "k1").body(Scan::neutral().zip()).send().await.unwrap();
+        response.json::<serde_json::Value>().await.unwrap()["scene"]["id"].as_str().unwrap().to_owned()
+    };
+    assert_eq!(post().await, post().await);
+    assert_eq!(server.client.scenes(10, None).await.unwrap().scenes.len(), 1);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn scenes_are_listed_renamed_and_deleted() {
+    let server = TestServer::start().await;
+    let mut ids = Vec::new();
+    for i in 0..5 {
+        let request = server
+            .client
+            .request(Method::POST, &format!("v1/scenes?parse=false&name=room{i}"))
+            .header("content-type", "application/zip");
+        let body: serde_json::Value = request.body(Scan::neutral().zip()).send().await.unwrap().json().await.unwrap();
+        assert_eq!((&body["scene"]["status"], &body["job"]), (&json!("uploaded"), &json!(null)));
+        ids.push(body["scene"]["id"].as_str().unwrap().to_owned());
+    }
+    let (mut seen, mut cursor) = (Vec::new(), None);
+    loop {
+        let page = server.client.scenes(2, cursor.as_deref()).await.unwrap();
+        seen.extend(page.scenes.into_iter().map(|s| s.id));
+        cursor = page.next_cursor;
+        if cursor.is_none() {
+            break;
+        }
+    }
+    ids.reverse();
+    assert_eq!(seen, ids);
+
+    assert_eq!(server.client.rename_scene(&ids[0], "kitchen").await.unwrap().name, "kitchen");
+    let not_ready = problem(server.client.ground(&ids[0], &ask("the sofa")).await);
+    assert_eq!((not_ready.status, not_ready.code.as_str()), (409, "scene_not_ready"));
+    server.client.delete_scene(&ids[0]).await.unwrap();
+    assert_eq!(problem(server.client.scene(&ids[0]).await).code, "scene_not_found");
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn job_events_tell_progress_and_resume() {
+    let server = TestServer::start().await;
+    let created = server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
+    let id = created.job.unwrap().id;
+    let mut progress = Vec::new();
+    let job = server.client.follow_job(&id, |job| progress.push(job.progress)).await.unwrap();
+    assert_eq!((job.state, job.progress), (JobState::Succeeded, 1.0));
+    assert!(progress.windows(2).all(|w| w[0] <= w[1]), "{progress:?}");
+
+    let events = |last: Option<String>| {
+        let mut request = server.client.request(Method::GET, &format!("v1/jobs/{id}/events"));
+        if let Some(last) = last {
+            request = request.header("last-event-id", last);
+        }
+        async move { request.send().await.unwrap().text().await.unwrap() }
+    };
+    let text = events(None).await;
+    let last = text.lines().find_map(|l| l.strip_prefix("id: ")).unwrap().to_owned();
+    assert!(text.contains("event: done"), "{text}");
+    // Even who has seen the end is told once more that it is the end.
+    assert!(events(Some(last)).await.contains("event: done"));
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn an_instance_can_be_read_by_itself_and_in_pages() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let all = server.client.instances(&scene.id, 1000).await.unwrap();
+    let page = server.client.instances(&scene.id, 1).await.unwrap();
+    assert_eq!((page.instances.len(), page.next_cursor), (1, Some(1)));
+    let bytes = server.client.bytes(&format!("v1/scenes/{}/instances/1", scene.id)).await.unwrap();
+    let one: uniground::service::InstanceView = serde_json::from_slice(&bytes).unwrap();
+    assert_eq!((one.id, &one), (InstanceId(1), &all.instances[0]));
+    server.stop().await;
+}
