@@ -32,7 +32,7 @@ pub struct ServeConfig {
 /// Who may ask.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct AccessConfig {
-    /// File that holds the key callers must show as a bearer token (or the key itself in UNIGROUND_API_KEY)
+    /// File that holds the key callers must show as a bearer token (or the key itself in `UNIGROUND_API_KEY`)
     #[arg(long, env = "UNIGROUND_API_KEY_FILE", value_name = "FILE")]
     pub api_key_file: Option<Utf8PathBuf>,
     /// Serve a non-loopback address without a key: anybody who reaches it can read and delete every scene
@@ -57,7 +57,7 @@ pub struct LimitsConfig {
     pub max_concurrent_questions: u32,
 }
 
-/// What the log looks like. Its level is RUST_LOG's, `info` by default.
+/// What the log looks like. Its level is `RUST_LOG`'s, `info` by default.
 #[derive(Debug, Clone, clap::Args)]
 pub struct LogConfig {
     #[arg(long, env = "UNIGROUND_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]

@@ -191,7 +191,7 @@ impl ColourName {
         match pair {
             (Grey | Brown, Beige) | (White, Beige | Grey) | (Black, Grey) | (Orange, Brown) | (Red, Orange) => 0.5,
             (Red, Pink | Brown) | (Blue, Purple) | (Purple, Pink) | (Orange, Yellow) | (Black, Brown) => 0.4,
-            (Yellow, Beige) | (Grey, Blue) | (Pink, Beige) => 0.25,
+            (Yellow | Pink, Beige) | (Grey, Blue) => 0.25,
             _ => 0.0,
         }
     }

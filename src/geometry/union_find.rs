@@ -32,6 +32,7 @@ impl UnionFind {
     }
 
     /// Consecutive labels `0..n` per element, numbered by each set's smallest member; and `n`.
+    #[must_use]
     pub fn into_labels(mut self) -> (Vec<u32>, usize) {
         let mut labels = vec![0; self.parent.len()];
         let mut count = 0;

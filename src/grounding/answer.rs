@@ -88,9 +88,9 @@ impl Timings {
         let ms = |d: Duration| (d.as_secs_f64() * 1e6).round() / 1e3;
         Self {
             parse_query: ms(parsed),
-            shortlist: ms(shortlisted - parsed),
+            shortlist: ms(shortlisted.saturating_sub(parsed)),
             evidence: 0.0,
-            reason: ms(total - shortlisted),
+            reason: ms(total.saturating_sub(shortlisted)),
             total: ms(total),
         }
     }

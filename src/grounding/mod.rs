@@ -30,7 +30,7 @@ pub struct SceneView<'a> {
 #[derive(Debug, Clone, PartialEq)]
 pub struct Question {
     pub query: String,
-    /// How many candidates to keep (paper: 5 for ScanRefer, 10 for EmbodiedScan).
+    /// How many candidates to keep (paper: 5 for `ScanRefer`, 10 for `EmbodiedScan`).
     pub top_k: usize,
     pub convention: DirectionConvention,
     pub observer: Option<Observer>,

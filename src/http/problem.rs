@@ -60,6 +60,7 @@ impl Problem {
         }
     }
 
+    #[must_use]
     pub fn internal() -> Self {
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "something went wrong inside the server; its log has the cause")
     }

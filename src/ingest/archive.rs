@@ -152,7 +152,7 @@ impl<'a> Sink<'a> {
             io::ErrorKind::AlreadyExists => IngestError::UnsafeEntry { entry: name.into(), reason: "stands in the archive twice" },
             _ => io(source),
         })?;
-        let mut buffer = [0; 64 << 10];
+        let mut buffer = vec![0; 64 << 10];
         loop {
             let n = content.read(&mut buffer).map_err(|e| self.unreadable(format!("{name}: {e}")))?;
             if n == 0 {

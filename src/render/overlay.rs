@@ -122,9 +122,8 @@ fn overlap(a: &Rect, b: &Rect) -> bool {
 fn blend(picture: &mut RgbImage, layer: &Pixmap) {
     for (below, above) in picture.pixels_mut().zip(layer.pixels()) {
         let through = 255 - u16::from(above.alpha());
-        let over = [above.red(), above.green(), above.blue()];
-        for channel in 0..3 {
-            below.0[channel] = (u16::from(over[channel]) + u16::from(below.0[channel]) * through / 255).min(255) as u8;
+        for (channel, over) in below.0.iter_mut().zip([above.red(), above.green(), above.blue()]) {
+            *channel = (u16::from(over) + u16::from(*channel) * through / 255).min(255) as u8;
         }
     }
 }

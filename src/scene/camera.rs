@@ -64,14 +64,14 @@ impl Pixel {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Camera {
     pub intrinsics: Intrinsics,
-    world_to_camera: Isometry3<f32>,
+    world_to_own: Isometry3<f32>,
     center: Point3<f32>,
 }
 
 impl Camera {
     #[must_use]
     pub fn new(intrinsics: Intrinsics, camera_to_world: &Isometry3<f32>) -> Self {
-        Self { intrinsics, world_to_camera: camera_to_world.inverse(), center: Point3::from(camera_to_world.translation.vector) }
+        Self { intrinsics, world_to_own: camera_to_world.inverse(), center: Point3::from(camera_to_world.translation.vector) }
     }
 
     /// Projects a world point into pixel coordinates of this camera.
@@ -80,12 +80,12 @@ impl Camera {
     /// depth is not looked at here.
     #[must_use]
     pub fn project(&self, p: &Point3<f32>) -> Option<Pixel> {
-        self.intrinsics.project(&(self.world_to_camera * p))
+        self.intrinsics.project(&(self.world_to_own * p))
     }
 
     #[must_use]
     pub fn world_to_camera(&self) -> &Isometry3<f32> {
-        &self.world_to_camera
+        &self.world_to_own
     }
 
     /// Optical centre, metres, world frame.
@@ -97,7 +97,7 @@ impl Camera {
     /// A rotation matrix's worth of direction: the viewing direction in the world.
     #[must_use]
     pub fn forward(&self) -> Vector3<f32> {
-        self.world_to_camera.rotation.inverse() * Vector3::z()
+        self.world_to_own.rotation.inverse() * Vector3::z()
     }
 }
 

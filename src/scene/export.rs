@@ -32,7 +32,7 @@ fn write(positions: &[Point3<f32>], of_point: impl Fn(usize) -> ([u8; 3], Option
         out,
         "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
     )?;
-    write!(out, "{}end_header\n", if labelled { "property int instance\n" } else { "" })?;
+    writeln!(out, "{}end_header", if labelled { "property int instance\n" } else { "" })?;
     for (i, p) in positions.iter().enumerate() {
         let (colour, instance) = of_point(i);
         for c in [p.x, p.y, p.z] {
@@ -50,7 +50,7 @@ fn write(positions: &[Point3<f32>], of_point: impl Fn(usize) -> ([u8; 3], Option
 #[must_use]
 pub fn instance_colour(id: InstanceId) -> [u8; 3] {
     let hue = (id.0 as f32 * 0.618_034).fract() * 6.0;
-    let value = if id.0 % 2 == 0 { 0.95 } else { 0.75 };
+    let value = if id.0.is_multiple_of(2) { 0.95 } else { 0.75 };
     [5.0, 3.0, 1.0].map(|n: f32| {
         let k = (n + hue) % 6.0;
         ((value - value * 0.7 * k.min(4.0 - k).clamp(0.0, 1.0)) * 255.0) as u8

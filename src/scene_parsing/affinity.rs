@@ -162,7 +162,9 @@ mod tests {
         Patch { points, center: Point3::origin(), normal: Vector3::z(), lab: Lab::zeros() }
     }
 
-    fn table(rows: &[(u32, u32, &[(u16, u32)])]) -> FrameVisibility {
+    type Row<'a> = (u32, u32, &'a [(u16, u32)]);
+
+    fn table(rows: &[Row]) -> FrameVisibility {
         let rows = rows
             .iter()
             .map(|&(superpoint, visible, masks)| VisibleSuperpoint { superpoint, visible, masks: masks.to_vec() })

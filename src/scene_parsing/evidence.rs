@@ -27,6 +27,9 @@ const JPEG_QUALITY: u8 = 85;
 /// A crop grows the tight box by this share of its width and height per side, so that the object is not cut at its rim.
 const CROP_MARGIN: f32 = 0.1;
 
+/// Instance, position among its views, and the view itself.
+type WantedView<'a> = (InstanceId, usize, &'a View);
+
 /// Renders the evidence of all instances, frame by frame, and hands each picture to `keep`.
 ///
 /// # Errors
@@ -37,7 +40,7 @@ pub fn render<E: From<ParseError> + Send>(
     progress: &Progress,
     mut keep: impl FnMut(EvidencePicture) -> Result<(), E>,
 ) -> Result<(), E> {
-    let wanted: Vec<(&FrameRef, Vec<(InstanceId, usize, &View)>)> = frames
+    let wanted: Vec<(&FrameRef, Vec<WantedView>)> = frames
         .iter()
         .map(|frame| {
             let views = instances.iter().flat_map(|i| i.views.iter().enumerate().map(|(k, view)| (i.id, k, view)));

@@ -16,8 +16,10 @@ fn zip_with_entry(name: &str) -> Vec<u8> {
     zip.finish().unwrap().into_inner()
 }
 
-/// What is uploaded as what, and the code and the words of the refusal.
-fn refused() -> Vec<(&'static str, &'static str, Vec<u8>, u16, &'static str, &'static str)> {
+/// What it is, its media type and bytes; status, code and words of the refusal.
+type Case = (&'static str, &'static str, Vec<u8>, u16, &'static str, &'static str);
+
+fn refused() -> Vec<Case> {
     let scan = Scan::frames_only;
     let whole = scan().zip();
     let truncated = whole[..whole.len() * 2 / 3].to_vec();
@@ -167,7 +169,7 @@ async fn what_shows_only_while_parsing_fails_the_job_by_name() {
     let png = &Scan::frames_only().0["depth/6.png"];
     let cut_png = png[..png.len() / 2].to_vec();
     let no_depth = (0..8).fold(Scan::frames_only(), |scan, i| scan.with(&format!("depth/{i}.png"), blank_depth()));
-    let inverse = (0..8).fold(Scan::frames_only().with("cloud.ply", crate::archives::cloud()), |scan, i| invert_pose(scan, i));
+    let inverse = (0..8).fold(Scan::frames_only().with("cloud.ply", crate::archives::cloud()), invert_pose);
     for (what, scan, code, words) in [
         (
             "a depth picture cut short",

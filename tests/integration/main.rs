@@ -1,5 +1,10 @@
 //! The service as its users meet it: a real server on port 0, driven through the typed client.
 
+// A helper that can not go on fails its test.
+#![allow(clippy::unwrap_used)]
+// Tables of cases are long and easy to read.
+#![allow(clippy::too_many_lines)]
+
 mod access;
 mod archives;
 mod bad_input;

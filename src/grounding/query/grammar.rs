@@ -137,7 +137,7 @@ impl Reader {
             self.open.unchecked.push(modifier);
         }
         self.open.unchecked.append(&mut self.unknown);
-        self.open.head = head.to_owned();
+        head.clone_into(&mut self.open.head);
     }
 
     fn word(&mut self, meaning: Meaning, text: &str, rest: &[Piece]) {

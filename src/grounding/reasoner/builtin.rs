@@ -328,7 +328,7 @@ mod tests {
     use crate::geometry::Point3;
     use crate::geometry::boxes::Aabb;
     use crate::grounding::direction::{DirectionConvention, Observer};
-    use crate::grounding::{Grounding, Question, ground};
+    use crate::grounding::{Grounding, Question, Timings, ground};
     use crate::models::attributes::tests::thing;
     use crate::scene::Support;
 
@@ -415,7 +415,7 @@ mod tests {
     #[test]
     fn the_same_question_gives_the_same_answer() {
         let strip = |mut answer: Grounding| {
-            answer.timings_ms = Default::default();
+            answer.timings_ms = Timings::default();
             answer
         };
         assert_eq!(strip(ask("the mug closest to the red sofa")), strip(ask("the mug closest to the red sofa")));

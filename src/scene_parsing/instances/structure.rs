@@ -70,7 +70,7 @@ impl Room {
 
     /// A plane bounds the room when its middle lies on the side of the scan's rim its normal points at.
     fn at_rim(&self, shape: &Shape) -> bool {
-        let axis = if shape.normal.x.abs() > shape.normal.y.abs() { 0 } else { 1 };
+        let axis = usize::from(shape.normal.x.abs() <= shape.normal.y.abs());
         let at = shape.aabb.center[axis];
         let oblique = shape.normal[axis].abs() < LEVEL;
         // A wall that is not parallel to the axes cuts a corner off the rim: leave it more slack.

@@ -63,7 +63,7 @@ pub struct RgbdMasks {
 }
 
 impl MaskSource for RgbdMasks {
-    fn name(&self) -> &str {
+    fn name(&self) -> &'static str {
         "rgbd-1"
     }
 

@@ -33,13 +33,16 @@ struct Border {
     bend: f32,
 }
 
+/// A join on offer: cost (as bits, cheapest first), the two regions, and their generations when it was made.
+type Offer = (Reverse<u32>, Reverse<(u32, u32)>, u32, u32);
+
 /// Thing label `0..n` of each element.
 pub(super) fn join(surfaces: &Surfaces, patches: &[u32], settings: &RgbdSettings) -> Vec<u32> {
     let count = patches.iter().max().map_or(0, |&p| p as usize + 1);
     let mut regions = regions(surfaces, patches, count);
     let mut borders = borders(surfaces, patches, count);
     let mut sets = UnionFind::new(count);
-    let mut queue: BinaryHeap<(Reverse<u32>, Reverse<(u32, u32)>, u32, u32)> = BinaryHeap::new();
+    let mut queue: BinaryHeap<Offer> = BinaryHeap::new();
     let push = |queue: &mut BinaryHeap<_>, regions: &[Region], a: u32, b: u32, border: &Border| {
         let cost = cost(&regions[a as usize], &regions[b as usize], border, settings);
         if cost < settings.join_cost {

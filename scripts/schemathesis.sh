@@ -1,0 +1,50 @@
+#!/usr/bin/env bash
+# Requests made up from the served OpenAPI description, against a real server: whatever comes, the answer is as described.
+# Needs ./target/release/uniground and Python 3; installs Schemathesis into .venv once.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+version=4.32.5
+venv=.venv
+if ! "$venv/bin/schemathesis" --version 2>/dev/null | grep -qF "$version"; then
+    "${PYTHON:-python3}" -m venv "$venv"
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "schemathesis==$version"
+fi
+
+data=$(mktemp -d)
+server=
+trap '[ -z "$server" ] || { kill "$server" && wait "$server" || true; }; rm -rf "$data"' EXIT
+./target/release/uniground serve --listen 127.0.0.1:0 --data-dir "$data" >"$data/out" 2>"$data/log" &
+server=$!
+for _ in $(seq 100); do
+    url=$(sed -n 's/^listening on //p' "$data/out")
+    [ -n "$url" ] && break
+    sleep 0.1
+done
+[ -n "$url" ] || { cat "$data/log" >&2; exit 1; }
+
+# A parsed scene, so that requests reach more than "not found".
+scene=$(curl -fsS -X POST "$url/v1/scenes?name=fuzz" -H 'content-type: application/zip' --data-binary @examples/living_room.zip |
+    "$venv/bin/python" -c 'import json,sys; print(json.load(sys.stdin)["scene"]["id"])')
+for _ in $(seq 300); do
+    curl -fsS "$url/v1/scenes/$scene" | grep -q '"status":"ready"' && break
+    sleep 0.1
+done
+answer=$(curl -fsS -X POST "$url/v1/scenes/$scene/ground" -H 'content-type: application/json' -d '{"query":"the sofa"}' |
+    "$venv/bin/python" -c 'import json,sys; print(json.load(sys.stdin)["id"])')
+job=$(curl -fsS "$url/v1/scenes/$scene" | "$venv/bin/python" -c 'import json,sys; print(json.load(sys.stdin)["job_id"])')
+
+cat >"$data/schemathesis.toml" <<TOML
+[parameters]
+"path.scene_id" = "$scene"
+"path.answer_id" = "$answer"
+"path.job_id" = "$job"
+# Deleting the scene would leave the rest nothing to talk to.
+[[operations]]
+include-name = "DELETE /v1/scenes/{scene_id}"
+enabled = false
+TOML
+"$venv/bin/schemathesis" --config-file "$data/schemathesis.toml" run "$url/openapi.json" \
+    --checks not_a_server_error,status_code_conformance,content_type_conformance,response_schema_conformance,response_headers_conformance \
+    --phases examples,coverage,fuzzing --max-examples "${EXAMPLES:-30}" --seed 1 --suppress-health-check all --no-color
+kill -0 "$server"
