@@ -30,6 +30,7 @@ pub struct SixFields {
     /// Why, in words a person can check.
     pub explanation: String,
     /// What each candidate is called, by id, without regard to the question.
+    #[schema(value_type = BTreeMap<String, String>)]
     pub candidate_names: BTreeMap<u32, String>,
     /// Whether the chosen candidate's own name means what the question asks for; `null` when nothing was chosen.
     pub target_name_matches: Option<bool>,

@@ -3,6 +3,7 @@
 use super::App;
 use super::extract::Path;
 use super::problem::Problem;
+use super::Binary;
 use crate::service::Answer;
 use axum::Json;
 use axum::extract::State;
@@ -27,7 +28,7 @@ pub async fn get(State(app): State<App>, Path(answer_id): Path<String>) -> Resul
 #[utoipa::path(
     get, path = "/v1/answers/{answer_id}/evidence/global.jpg", tag = "grounding", params(("answer_id" = String, Path)),
     responses(
-        (status = 200, body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 200, body = Binary, content_type = "image/jpeg"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
     ),

@@ -3,6 +3,7 @@
 use super::App;
 use super::extract::{Path, Query};
 use super::problem::Problem;
+use super::Binary;
 use super::scenes::send_file;
 use crate::scene::InstanceId;
 use crate::service::{InstanceList, InstanceView, ViewPicture};
@@ -84,7 +85,7 @@ pub struct ViewParameters {
     get, path = "/v1/scenes/{scene_id}/instances/{instance_id}/views/{view}", tag = "instances",
     params(("scene_id" = String, Path), ("instance_id" = u32, Path), ("view" = String, Path, description = "`{k}.jpg`, k from 0"), ViewParameters),
     responses(
-        (status = 200, body = Vec<u8>, content_type = "image/jpeg"),
+        (status = 200, body = Binary, content_type = "image/jpeg"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),

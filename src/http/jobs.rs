@@ -13,6 +13,18 @@ use futures::{Stream, stream};
 use std::convert::Infallible;
 use std::time::Duration;
 
+/// One event of a job's stream.
+#[derive(utoipa::ToSchema)]
+#[expect(dead_code, reason = "the stream writes these fields as lines of text")]
+pub struct JobEvent {
+    /// Names the moment; send it back as `Last-Event-ID` to go on from there.
+    id: String,
+    /// `progress` or `done`.
+    event: String,
+    /// The job, as JSON.
+    data: String,
+}
+
 /// How often a job is looked at for its event stream.
 const LOOK_EVERY: Duration = Duration::from_millis(150);
 
@@ -51,7 +63,7 @@ pub async fn cancel(State(app): State<App>, Path(job_id): Path<String>) -> Resul
     get, path = "/v1/jobs/{job_id}/events", tag = "jobs",
     params(("job_id" = String, Path), ("Last-Event-ID" = Option<String>, Header)),
     responses(
-        (status = 200, body = String, content_type = "text/event-stream"),
+        (status = 200, body = JobEvent, content_type = "text/event-stream"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
     ),

@@ -60,6 +60,11 @@ pub struct App {
 )]
 struct Description;
 
+/// Bytes: a file as it is.
+#[derive(utoipa::ToSchema)]
+#[schema(value_type = String, format = Binary)]
+struct Binary(#[expect(dead_code, reason = "only its schema is used")] Vec<u8>);
+
 const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 
 /// Routes and their description, in step by construction.

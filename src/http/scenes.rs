@@ -3,6 +3,7 @@
 use super::App;
 use super::extract::{Json, Path, Query};
 use super::problem::Problem;
+use super::Binary;
 use crate::geometry::up_axis::UpAxis;
 use crate::ingest::archive::ArchiveKind;
 use crate::jobs::Job;
@@ -57,7 +58,7 @@ pub struct Created {
     post, path = "/v1/scenes", tag = "scenes",
     params(CreateParameters, ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the scene it made")),
     request_body(
-        content((Vec<u8> = "application/zip"), (Vec<u8> = "application/x-tar"), (Vec<u8> = "application/zstd")),
+        content((Binary = "application/zip"), (Binary = "application/x-tar"), (Binary = "application/zstd")),
         description = "Archive: scene.json layout, or color/ depth/ pose/ intrinsic.txt [cloud.ply]"
     ),
     responses(
@@ -223,7 +224,7 @@ pub async fn parse(
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/cloud.ply", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
-        (status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
@@ -239,7 +240,7 @@ pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Resu
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/instances.ply", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
-        (status = 200, body = Vec<u8>, content_type = "application/octet-stream"),
+        (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),

@@ -1,0 +1,8 @@
+"""Archives for Schemathesis: it makes up the bytes, which the server must refuse politely."""
+
+import schemathesis
+
+
+@schemathesis.serializer("application/zip", "application/x-tar", "application/zstd")
+def archive(_context, value):
+    return value if isinstance(value, bytes) else str(value).encode("utf-8", "surrogatepass")
