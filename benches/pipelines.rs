@@ -1,1 +1,68 @@
-fn main() {}
+//! Steps of both stages on the sample scene, in process. `cargo bench --bench pipelines`
+
+#![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
+
+use camino::Utf8Path;
+use criterion::{Criterion, criterion_group, criterion_main};
+use std::hint::black_box;
+use std::time::Duration;
+use uniground::geometry::boxes::Aabb;
+use uniground::grounding::direction::DirectionConvention;
+use uniground::grounding::{Question, SceneView, ground};
+use uniground::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use uniground::ingest::{self, ImportSettings};
+use uniground::progress::Progress;
+use uniground::render::{Orbit, scene_picture};
+use uniground::scene::SceneBundle;
+use uniground::scene_parsing::masks::MaskSource;
+use uniground::scene_parsing::masks::rgbd::RgbdMasks;
+use uniground::scene_parsing::{self, ParsingSettings, evidence, superpoints};
+
+fn unpacked(folder: &Utf8Path) {
+    let archive = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/living_room.zip");
+    unpack(&archive, ArchiveKind::Zip, folder, &UnpackLimits::default()).unwrap();
+}
+
+fn load(folder: &Utf8Path) -> SceneBundle {
+    ingest::load(&ingest::open(folder).unwrap(), &ImportSettings::default(), &Progress::silent()).unwrap()
+}
+
+fn pipelines(c: &mut Criterion) {
+    let temporary = tempfile::tempdir().unwrap();
+    let folder = Utf8Path::from_path(temporary.path()).unwrap();
+    unpacked(folder);
+    let (bundle, settings, masks) = (load(folder), ParsingSettings::default(), RgbdMasks::default());
+    let frames = bundle.frames.clone();
+    let silent = Progress::silent();
+    let parsed = scene_parsing::parse(bundle.clone(), &masks, &settings, &silent).unwrap();
+
+    let mut group = c.benchmark_group("stage 1, sample scene");
+    group.sample_size(10).measurement_time(Duration::from_secs(8));
+    group.bench_function("import: check, decode, fuse the cloud", |b| b.iter(|| load(black_box(folder))));
+    group.bench_function("superpoints", |b| b.iter(|| superpoints::compute(&bundle.cloud, &settings.superpoints, &silent).unwrap()));
+    let frame = frames[0].decode().unwrap();
+    group.bench_function("rgbd masks, one frame", |b| b.iter(|| masks.masks(black_box(&frame))));
+    group.bench_function("parse: superpoints to views", |b| {
+        b.iter(|| scene_parsing::parse(bundle.clone(), &masks, &settings, &silent).unwrap());
+    });
+    group.bench_function("evidence pictures", |b| {
+        b.iter(|| evidence::render(&frames, &parsed.instances, &silent, |_| Ok::<_, scene_parsing::ParseError>(())).unwrap());
+    });
+    group.finish();
+
+    let mut group = c.benchmark_group("stage 2, sample scene");
+    let scene = SceneView { instances: &parsed.instances, extent: parsed.extent };
+    let question = |query: &str| Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None };
+    for query in ["the orange stool", "the bookcase between the red sofa and the desk"] {
+        let question = question(query);
+        group.bench_function(query, |b| b.iter(|| ground(scene, black_box(&question))));
+    }
+    let orbit = Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 35.0 };
+    let extent = Aabb::around(&parsed.cloud.positions).unwrap();
+    group.sample_size(20);
+    group.bench_function("picture of the room, 1024x768", |b| b.iter(|| scene_picture(&parsed.cloud, &extent, &orbit, &[])));
+    group.finish();
+}
+
+criterion_group!(benches, pipelines);
+criterion_main!(benches);

@@ -1,9 +1,9 @@
 //! `/v1/answers`
 
 use super::App;
+use super::Binary;
 use super::extract::Path;
 use super::problem::Problem;
-use super::Binary;
 use crate::service::Answer;
 use axum::Json;
 use axum::extract::State;

@@ -1,9 +1,9 @@
 //! `/v1/scenes/{scene_id}/instances`
 
 use super::App;
+use super::Binary;
 use super::extract::{Path, Query};
 use super::problem::Problem;
-use super::Binary;
 use super::scenes::send_file;
 use crate::scene::InstanceId;
 use crate::service::{InstanceList, InstanceView, ViewPicture};

@@ -1,9 +1,9 @@
 //! `/v1/scenes`
 
 use super::App;
+use super::Binary;
 use super::extract::{Json, Path, Query};
 use super::problem::Problem;
-use super::Binary;
 use crate::geometry::up_axis::UpAxis;
 use crate::ingest::archive::ArchiveKind;
 use crate::jobs::Job;

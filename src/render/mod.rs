@@ -1,6 +1,7 @@
 //! Pictures of a parsed scene, on the CPU and deterministic: splatted points, boxes, labels.
 
 mod camera;
+mod jpeg;
 mod overlay;
 mod splat;
 mod text;
@@ -10,6 +11,7 @@ use crate::geometry::statistics::quantile;
 use crate::scene::PointCloud;
 pub use camera::Orbit;
 use image::RgbImage;
+pub use jpeg::jpeg;
 pub use overlay::{BoxStyle, LabelledBox};
 
 /// Points above this height percentile are left out, so that a ceiling does not hide the room (paper: 95th).

@@ -2,8 +2,8 @@
 
 use super::ParseError;
 use crate::progress::Progress;
+use crate::render::jpeg;
 use crate::scene::{FrameRef, Instance, InstanceId, View, stream_frames};
-use image::codecs::jpeg::JpegEncoder;
 use image::{Rgb, RgbImage, imageops};
 
 /// Which of the two pictures of a view.
@@ -23,7 +23,6 @@ pub struct EvidencePicture {
 }
 
 const RED: Rgb<u8> = Rgb([230, 20, 20]);
-const JPEG_QUALITY: u8 = 85;
 /// A crop grows the tight box by this share of its width and height per side, so that the object is not cut at its rim.
 const CROP_MARGIN: f32 = 0.1;
 
@@ -73,7 +72,7 @@ fn pictures(color: &RgbImage, instance: InstanceId, view: usize, seen: &View) ->
     let crop = imageops::crop_imm(color, x, y, (x2 - x).max(1), (y2 - y).max(1)).to_image();
     let mut boxed = color.clone();
     draw_box(&mut boxed, seen.box_px);
-    let picture = |picture, image: &RgbImage| EvidencePicture { instance, view, picture, jpeg: encode(image) };
+    let picture = |picture, image: &RgbImage| EvidencePicture { instance, view, picture, jpeg: jpeg(image) };
     [picture(Picture::Crop, &crop), picture(Picture::Frame, &boxed)]
 }
 
@@ -98,15 +97,6 @@ fn draw_box(image: &mut RgbImage, [left, top, right, bottom]: [u32; 4]) {
             put((r - 1 + k).min(w - 1 - (WIDTH - k)), y);
         }
     }
-}
-
-fn encode(image: &RgbImage) -> Vec<u8> {
-    let mut jpeg = Vec::new();
-    // Writing to memory does not fail, and the encoder accepts every RGB picture up to 65,535 pixels a side.
-    if let Err(error) = JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY).encode_image(image) {
-        tracing::warn!(%error, width = image.width(), height = image.height(), "evidence picture could not be encoded");
-    }
-    jpeg
 }
 
 #[cfg(test)]

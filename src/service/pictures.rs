@@ -3,16 +3,13 @@
 use super::{Answer, Service};
 use crate::error::Error;
 use crate::ingest;
-use crate::render::{BoxStyle, LabelledBox, Orbit, scene_picture};
+use crate::render::{BoxStyle, LabelledBox, Orbit, jpeg, scene_picture};
 use crate::scene::InstanceId;
-use image::codecs::jpeg::JpegEncoder;
 use std::collections::BTreeMap;
-use std::io;
 use tokio::task::spawn_blocking;
 
 /// From the south, well above: left is -X, right is +X, the far wall +Y.
 const VIEW: Orbit = Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 35.0 };
-const JPEG_QUALITY: u8 = 88;
 /// More candidates than this only hide the room.
 const MAX_CANDIDATES: usize = 5;
 

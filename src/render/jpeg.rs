@@ -1,0 +1,40 @@
+//! Pictures as JPEG files.
+
+use image::RgbImage;
+use jpeg_encoder::{ColorType, Encoder, EncodingError};
+
+const QUALITY: u8 = 85;
+
+/// Encodes a picture; empty when it has more than 65,535 pixels a side, which JPEG does not know.
+#[must_use]
+pub fn jpeg(image: &RgbImage) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    if let Err(error) = encode(image, &mut bytes) {
+        tracing::warn!(%error, width = image.width(), height = image.height(), "a picture could not be encoded");
+        bytes.clear();
+    }
+    bytes
+}
+
+fn encode(image: &RgbImage, bytes: &mut Vec<u8>) -> Result<(), EncodingError> {
+    let side = |length: u32| u16::try_from(length).unwrap_or(u16::MAX);
+    Encoder::new(bytes, QUALITY).encode(image.as_raw(), side(image.width()), side(image.height()), ColorType::Rgb)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_encoded_decodes_to_nearly_the_same() {
+        let picture = RgbImage::from_fn(64, 48, |x, y| image::Rgb([x as u8 * 3, y as u8 * 4, 90]));
+        let decoded = image::load_from_memory(&jpeg(&picture)).unwrap().into_rgb8();
+        let worst = picture.iter().zip(decoded.iter()).map(|(a, b)| a.abs_diff(*b)).max();
+        assert!(worst.is_some_and(|d| d < 24), "{worst:?}");
+    }
+
+    #[test]
+    fn a_picture_too_large_for_jpeg_is_empty() {
+        assert!(jpeg(&RgbImage::new(70_000, 1)).is_empty());
+    }
+}
