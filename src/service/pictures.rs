@@ -43,11 +43,7 @@ impl Service {
                 mark(chosen, 2, BoxStyle::Answer);
             }
             let picture = scene_picture(&cloud, &parse.extent, &VIEW, &boxes.into_values().collect::<Vec<_>>());
-            let mut jpeg = Vec::new();
-            JpegEncoder::new_with_quality(&mut jpeg, JPEG_QUALITY)
-                .encode_image(&picture)
-                .map_err(io::Error::other)?;
-            Ok(jpeg)
+            Ok(jpeg(&picture))
         })
         .await?
     }
