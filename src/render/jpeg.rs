@@ -1,7 +1,7 @@
 //! Pictures as JPEG files.
 
 use image::RgbImage;
-use jpeg_encoder::{ColorType, Encoder, EncodingError};
+use jpeg_encoder::{ColorType, Encoder};
 
 const QUALITY: u8 = 85;
 
@@ -9,16 +9,15 @@ const QUALITY: u8 = 85;
 #[must_use]
 pub fn jpeg(image: &RgbImage) -> Vec<u8> {
     let mut bytes = Vec::new();
-    if let Err(error) = encode(image, &mut bytes) {
-        tracing::warn!(%error, width = image.width(), height = image.height(), "a picture could not be encoded");
+    let (Ok(width), Ok(height)) = (u16::try_from(image.width()), u16::try_from(image.height())) else {
+        tracing::warn!(width = image.width(), height = image.height(), "a picture is too large for JPEG");
+        return bytes;
+    };
+    if let Err(error) = Encoder::new(&mut bytes, QUALITY).encode(image.as_raw(), width, height, ColorType::Rgb) {
+        tracing::warn!(%error, width, height, "a picture could not be encoded");
         bytes.clear();
     }
     bytes
-}
-
-fn encode(image: &RgbImage, bytes: &mut Vec<u8>) -> Result<(), EncodingError> {
-    let side = |length: u32| u16::try_from(length).unwrap_or(u16::MAX);
-    Encoder::new(bytes, QUALITY).encode(image.as_raw(), side(image.width()), side(image.height()), ColorType::Rgb)
 }
 
 #[cfg(test)]
