@@ -32,7 +32,7 @@ pub struct DemoArgs {
 }
 
 /// One unique object, one attribute, one relation, and one that is not in the room.
-const QUESTIONS: [&str; 4] = ["find the television", "the orange stool", "the mug on the coffee table", "the green fridge"];
+const QUESTIONS: [&str; 4] = ["find the coffee table", "the orange stool", "the mug on the coffee table", "the green fridge"];
 /// How many of the found objects are listed.
 const LISTED: usize = 12;
 
