@@ -2,7 +2,8 @@
 
 use super::query::{Meaning, ParsedQuery, Phrase};
 use super::reasoner::Verdict;
-use super::{Question, SceneView, shortlist};
+use super::shortlist::{self, Candidate};
+use super::{Question, SceneView};
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::scene::{Instance, InstanceId};
 use serde::{Deserialize, Serialize};
@@ -38,17 +39,6 @@ pub struct SixFields {
     pub anchor_id: Option<InstanceId>,
     /// The relation the decision used, in the question's words.
     pub relation_used: Option<String>,
-}
-
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct Candidate {
-    pub id: InstanceId,
-    /// From 1.
-    pub rank: u32,
-    /// Fit to the question, `0..=1`.
-    pub score: f32,
-    #[serde(rename = "box")]
-    pub aabb: Aabb,
 }
 
 /// Another instance the question may mean.

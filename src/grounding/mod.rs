@@ -11,8 +11,9 @@ mod reasoner;
 pub mod relations;
 mod shortlist;
 
-pub use answer::{Alternative, Candidate, Grounding, ParsedQuerySummary, SixFields, Status, Timings};
+pub use answer::{Alternative, Grounding, ParsedQuerySummary, SixFields, Status, Timings};
 use direction::{DirectionConvention, Directions, Observer};
+pub use shortlist::Candidate;
 use std::time::Instant;
 
 use crate::geometry::boxes::Aabb;

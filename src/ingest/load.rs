@@ -1,13 +1,13 @@
 //! A checked [`Scan`] to a canonical [`SceneBundle`].
 
-use super::formats::{CameraAxes, RawFrame};
 use super::fusion::{self, FusionSettings};
-use super::{IngestError, Scan, clouds, reprojection};
+use super::scan::{CameraAxes, RawFrame, Scan};
+use super::{IngestError, clouds, reprojection};
 use crate::geometry::boxes::Aabb;
 use crate::geometry::up_axis::UpAxis;
-use crate::geometry::{Isometry3, Matrix4, Point3, pose};
+use crate::geometry::{Isometry3, Point3};
 use crate::progress::Progress;
-use crate::scene::{FrameIndex, FrameRef, ImportReport, PointCloud, PoseConvention, SceneBundle};
+use crate::scene::{FrameIndex, FrameRef, ImportReport, PointCloud, SceneBundle};
 use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -87,7 +87,7 @@ fn own_cloud_of(scan: &Scan, file: &Utf8Path, to_z_up: &Isometry3<f32>, warnings
 /// A frame with its pose as the scan declares it, still in the file's world.
 fn frame_ref(scan: &Scan, index: usize, raw: &RawFrame) -> Result<FrameRef, IngestError> {
     let index = FrameIndex(index as u32);
-    let camera_to_world = read_pose(&raw.pose, scan.pose, scan.camera_axes).map_err(|source| IngestError::BadPose {
+    let camera_to_world = raw.camera_to_world(scan.pose, scan.camera_axes).map_err(|source| IngestError::BadPose {
         frame: index,
         file: raw.pose_file.clone(),
         source,
@@ -100,20 +100,6 @@ fn frame_ref(scan: &Scan, index: usize, raw: &RawFrame) -> Result<FrameRef, Inge
         depth_intrinsics: raw.depth_intrinsics,
         depth_scale_m: scan.depth_scale_m,
         camera_to_world,
-    })
-}
-
-/// A pose matrix read under a convention, as camera-to-world with OpenCV axes.
-pub(super) fn read_pose(matrix: &Matrix4<f32>, pose: PoseConvention, axes: CameraAxes) -> Result<Isometry3<f32>, pose::PoseError> {
-    let rigid = pose::rigid(matrix)?;
-    let camera_to_world = match pose {
-        PoseConvention::CameraToWorld => rigid,
-        PoseConvention::WorldToCamera => rigid.inverse(),
-    };
-    Ok(match axes {
-        CameraAxes::Opencv => camera_to_world,
-        // OpenGL's camera is OpenCV's turned by half a turn about its own X.
-        CameraAxes::Opengl => camera_to_world * Isometry3::rotation(nalgebra::Vector3::x() * std::f32::consts::PI),
     })
 }
 

@@ -11,9 +11,22 @@ mod formats;
 mod fusion;
 mod load;
 mod reprojection;
+mod scan;
 mod validate;
 
 pub use error::IngestError;
-pub use formats::{Scan, open};
 pub use fusion::FusionSettings;
 pub use load::{ImportSettings, load, read_cloud};
+pub use scan::Scan;
+
+use camino::Utf8Path;
+
+/// Recognises the layout below `folder` and checks everything that can be checked without decoding pictures.
+///
+/// # Errors
+/// [`IngestError`] naming the file, frame or field.
+pub fn open(folder: &Utf8Path) -> Result<Scan, IngestError> {
+    let mut scan = formats::read(folder)?;
+    validate::check(&mut scan)?;
+    Ok(scan)
+}

@@ -1,8 +1,7 @@
 //! Does the geometry agree with the depth pictures? Wrong pose directions, camera axes and depth scales show here first.
 
 use super::IngestError;
-use super::formats::{CameraAxes, Scan};
-use super::load::read_pose;
+use super::scan::{CameraAxes, Scan};
 use crate::geometry::{Isometry3, Point3};
 use crate::scene::{Camera, DepthImage, FrameRef, PointCloud, PoseConvention};
 use rayon::prelude::*;
@@ -151,9 +150,9 @@ impl Sample<'_> {
     /// The frame's camera under a reading of its pose. The turn to Z up is the same for every reading.
     fn camera(&self, frame: &FrameRef, reading: &Hypothesis) -> Option<(Camera, Isometry3<f32>)> {
         let raw = &self.scan.frames[frame.index.0 as usize];
-        let declared = read_pose(&raw.pose, self.scan.pose, self.scan.camera_axes).ok()?;
+        let declared = raw.camera_to_world(self.scan.pose, self.scan.camera_axes).ok()?;
         let to_z_up = frame.camera_to_world * declared.inverse();
-        let camera_to_world = to_z_up * read_pose(&raw.pose, reading.pose, reading.axes).ok()?;
+        let camera_to_world = to_z_up * raw.camera_to_world(reading.pose, reading.axes).ok()?;
         Some((Camera::new(frame.depth_intrinsics, &camera_to_world), camera_to_world))
     }
 }

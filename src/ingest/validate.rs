@@ -1,11 +1,10 @@
 //! Checks that need no decoded picture: sizes from headers, intrinsics that fit, poses that are rigid.
 
 use super::IngestError;
-use super::formats::Scan;
+use super::scan::{Scan, picture_size};
 use crate::geometry::pose;
 use crate::scene::{FrameIndex, Intrinsics};
 use camino::Utf8Path;
-use image::ImageReader;
 
 /// Checks a scan and drops the frames whose pose the tracker itself marked as lost.
 ///
@@ -66,16 +65,3 @@ fn fit(root: &Utf8Path, file: &Utf8Path, intrinsics: Intrinsics) -> Result<Intri
 
 /// Relative difference of aspect ratios that still counts as the same camera read out at another size.
 const SHAPE_TOLERANCE: f32 = 0.02;
-
-/// Width and height from a picture's header.
-pub(super) fn picture_size(root: &Utf8Path, file: &Utf8Path) -> Result<(u32, u32), IngestError> {
-    let path = root.join(file);
-    if !path.is_file() {
-        return Err(IngestError::MissingFile { file: file.to_owned() });
-    }
-    let io = |source| IngestError::Io { file: file.to_owned(), source };
-    let reader = ImageReader::open(&path).map_err(io)?.with_guessed_format().map_err(io)?;
-    reader
-        .into_dimensions()
-        .map_err(|e| IngestError::malformed(file, format!("not a readable picture: {e}")))
-}

@@ -2,7 +2,9 @@
 //!
 //! Files belong together by stem (`color/7.jpg`, `depth/7.png`, `pose/7.txt`); order is by number, so `10` follows `9`.
 
-use super::{CameraAxes, IngestError, RawFrame, Scan, entries, read_numbers, read_pose};
+use super::{entries, read_numbers, read_pose};
+use crate::ingest::IngestError;
+use crate::ingest::scan::{CameraAxes, RawFrame, Scan, picture_size};
 use crate::scene::{Intrinsics, PoseConvention};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::BTreeMap;
@@ -91,6 +93,6 @@ fn read_intrinsics(root: &Utf8Path, first_color: &Utf8Path) -> Result<Intrinsics
         16 => 4,
         n => return Err(IngestError::malformed(file, format!("a camera matrix has 9 or 16 numbers, this file has {n}"))),
     };
-    let (width, height) = super::validate::picture_size(root, first_color)?;
+    let (width, height) = picture_size(root, first_color)?;
     Ok(Intrinsics { width, height, fx: m[0], fy: m[columns + 1], cx: m[2], cy: m[columns + 2] })
 }

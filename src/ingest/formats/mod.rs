@@ -4,66 +4,24 @@ mod color_depth_pose;
 mod neutral;
 
 use super::IngestError;
-use super::validate;
+use super::scan::Scan;
 use crate::geometry::Matrix4;
-use crate::geometry::up_axis::UpAxis;
-use crate::scene::{Intrinsics, PoseConvention};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
 
-/// A scan as its files describe it: not yet canonical, pictures not yet decoded, paths below `root`.
-#[derive(Debug, Clone)]
-pub struct Scan {
-    pub root: Utf8PathBuf,
-    pub format: &'static str,
-    pub name: Option<String>,
-    pub cloud: Option<Utf8PathBuf>,
-    pub frames: Vec<RawFrame>,
-    /// As written in the files; `None` = not said.
-    pub up: Option<UpAxis>,
-    pub camera_axes: CameraAxes,
-    pub pose: PoseConvention,
-    /// Metres per unit of the depth pictures.
-    pub depth_scale_m: f32,
-    pub frames_skipped: u32,
-    pub warnings: Vec<String>,
-}
-
-#[derive(Debug, Clone)]
-pub struct RawFrame {
-    pub color: Utf8PathBuf,
-    pub depth: Utf8PathBuf,
-    pub pose_file: Utf8PathBuf,
-    pub pose: Matrix4<f32>,
-    pub color_intrinsics: Intrinsics,
-    pub depth_intrinsics: Intrinsics,
-}
-
-/// Which way a camera's own axes point.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum CameraAxes {
-    /// x right, y down, z forward.
-    Opencv,
-    /// x right, y up, z backward.
-    Opengl,
-}
-
-/// Recognises the layout below `folder` and checks everything that can be checked without decoding pictures.
+/// Reads the layout below `folder` without checking it.
 ///
 /// # Errors
-/// [`IngestError`] naming the file, frame or field.
-pub fn open(folder: &Utf8Path) -> Result<Scan, IngestError> {
+/// [`IngestError`] naming the file, or what the folder holds instead of a scan.
+pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
     let root = scene_root(folder)?;
-    let mut scan = if root.join("scene.json").is_file() {
-        neutral::read(&root)?
+    if root.join("scene.json").is_file() {
+        neutral::read(&root)
     } else if color_depth_pose::recognises(&root) {
-        color_depth_pose::read(&root)?
+        color_depth_pose::read(&root)
     } else {
-        return Err(IngestError::UnknownLayout { found: describe(&root)? });
-    };
-    validate::check(&mut scan)?;
-    Ok(scan)
+        Err(IngestError::UnknownLayout { found: describe(&root)? })
+    }
 }
 
 /// Archives are often made of one folder: step into it. Files that operating systems leave behind are not looked at.

@@ -1,7 +1,9 @@
 //! The neutral layout: `scene.json` names every file and convention (`uniground-scene/1`).
 
-use super::{CameraAxes, IngestError, RawFrame, Scan, read_pose};
+use super::read_pose;
 use crate::geometry::up_axis::UpAxis;
+use crate::ingest::IngestError;
+use crate::ingest::scan::{CameraAxes, RawFrame, Scan};
 use crate::scene::{Intrinsics, PoseConvention};
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use serde::Deserialize;

@@ -1,0 +1,75 @@
+//! A scan as its files describe it: what layouts produce and imports consume.
+
+use super::IngestError;
+use crate::geometry::up_axis::UpAxis;
+use crate::geometry::{Isometry3, Matrix4, pose};
+use crate::scene::{Intrinsics, PoseConvention};
+use camino::{Utf8Path, Utf8PathBuf};
+use image::ImageReader;
+
+/// A scan as its files describe it: not yet canonical, pictures not yet decoded, paths below `root`.
+#[derive(Debug, Clone)]
+pub struct Scan {
+    pub root: Utf8PathBuf,
+    pub format: &'static str,
+    pub name: Option<String>,
+    pub cloud: Option<Utf8PathBuf>,
+    pub frames: Vec<RawFrame>,
+    /// As written in the files; `None` = not said.
+    pub up: Option<UpAxis>,
+    pub camera_axes: CameraAxes,
+    pub pose: PoseConvention,
+    /// Metres per unit of the depth pictures.
+    pub depth_scale_m: f32,
+    pub frames_skipped: u32,
+    pub warnings: Vec<String>,
+}
+
+#[derive(Debug, Clone)]
+pub struct RawFrame {
+    pub color: Utf8PathBuf,
+    pub depth: Utf8PathBuf,
+    pub pose_file: Utf8PathBuf,
+    pub pose: Matrix4<f32>,
+    pub color_intrinsics: Intrinsics,
+    pub depth_intrinsics: Intrinsics,
+}
+
+/// Which way a camera's own axes point.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum CameraAxes {
+    /// x right, y down, z forward.
+    Opencv,
+    /// x right, y up, z backward.
+    Opengl,
+}
+
+impl RawFrame {
+    /// The pose read under a convention, as camera-to-world with OpenCV axes, in the file's world.
+    pub(super) fn camera_to_world(&self, convention: PoseConvention, axes: CameraAxes) -> Result<Isometry3<f32>, pose::PoseError> {
+        let rigid = pose::rigid(&self.pose)?;
+        let camera_to_world = match convention {
+            PoseConvention::CameraToWorld => rigid,
+            PoseConvention::WorldToCamera => rigid.inverse(),
+        };
+        Ok(match axes {
+            CameraAxes::Opencv => camera_to_world,
+            // OpenGL's camera is OpenCV's turned by half a turn about its own X.
+            CameraAxes::Opengl => camera_to_world * Isometry3::rotation(nalgebra::Vector3::x() * std::f32::consts::PI),
+        })
+    }
+}
+
+/// Width and height from a picture's header.
+pub(super) fn picture_size(root: &Utf8Path, file: &Utf8Path) -> Result<(u32, u32), IngestError> {
+    let path = root.join(file);
+    if !path.is_file() {
+        return Err(IngestError::MissingFile { file: file.to_owned() });
+    }
+    let io = |source| IngestError::Io { file: file.to_owned(), source };
+    let reader = ImageReader::open(&path).map_err(io)?.with_guessed_format().map_err(io)?;
+    reader
+        .into_dimensions()
+        .map_err(|e| IngestError::malformed(file, format!("not a readable picture: {e}")))
+}
