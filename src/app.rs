@@ -9,8 +9,10 @@ use anyhow::Context;
 use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
+use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 
 /// A service that listens.
@@ -58,6 +60,9 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     Ok(RunningService { address, shutdown, server, worker, store })
 }
 
+/// How long running requests may take once the service stops.
+const GRACE: Duration = Duration::from_secs(5);
+
 impl RunningService {
     /// Stops: no new requests, running ones finish, the running job goes back to the queue, the database is closed.
     ///
@@ -65,17 +70,26 @@ impl RunningService {
     /// When the server had failed before.
     pub async fn stop(self) -> anyhow::Result<()> {
         self.shutdown.cancel();
-        let served = self.server.await;
         self.worker.await?;
+        // A caller that stalls in the middle of its request must not keep the process alive.
+        let abort = self.server.abort_handle();
+        let served = match timeout(GRACE, self.server).await {
+            Ok(served) => served?,
+            Err(_) => {
+                tracing::warn!("some requests did not finish in time and are cut off");
+                abort.abort();
+                Ok(())
+            }
+        };
         self.store.close().await;
-        Ok(served??)
+        Ok(served?)
     }
 
     /// Completes when the server ends by itself, which it only does when it fails.
     pub async fn ended(&mut self) {
         // A finished handle must not be polled again: `stop` does that for the error, so only look.
         while !self.server.is_finished() {
-            tokio::time::sleep(std::time::Duration::from_millis(200)).await;
+            sleep(Duration::from_millis(200)).await;
         }
     }
 }

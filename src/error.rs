@@ -81,7 +81,7 @@ impl Error {
                 IngestError::Cancelled(_) => "cancelled",
             },
             Self::Parse(error) => match error {
-                ParseError::Frame(FrameError::Unreadable { .. } | FrameError::Undecodable { .. } | FrameError::WrongSize { .. }) => {
+                ParseError::Frame(FrameError::Unreadable { .. } | FrameError::Undecodable { .. } | FrameError::NotDepth { .. } | FrameError::WrongSize { .. }) => {
                     "frame_unreadable"
                 }
                 ParseError::NoPoints => "cloud_empty",

@@ -10,7 +10,12 @@ pub enum PoseError {
     NotFinite,
     #[error("pose is not a rigid transform (determinant {determinant:.3}, deviation from orthonormal {deviation:.3})")]
     NotRigid { determinant: f32, deviation: f32 },
+    #[error("pose lies {kilometres:.0} km from the origin, more than 10: take an offset off the whole scan first")]
+    TooFar { kilometres: f32 },
 }
+
+/// Single precision and voxel keys end here, metres.
+const MAX_COORDINATE_M: f32 = 10_000.0;
 
 /// Largest entry of `RᵀR - I` that still counts as rounding in a text file.
 const ORTHONORMAL_TOLERANCE: f32 = 0.02;
@@ -29,6 +34,9 @@ pub fn rigid(matrix: &Matrix4<f32>) -> Result<Isometry3<f32>, PoseError> {
     let determinant = rotation.determinant();
     if deviation > ORTHONORMAL_TOLERANCE || determinant < 0.0 {
         return Err(PoseError::NotRigid { determinant, deviation });
+    }
+    if translation.norm() > MAX_COORDINATE_M {
+        return Err(PoseError::TooFar { kilometres: translation.norm() / 1000.0 });
     }
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation));
     let rotation = UnitQuaternion::new_normalize(rotation.into_inner());

@@ -24,7 +24,8 @@ const PARTS: [&str; 22] = [
 pub fn phrase_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
     let nouns: Vec<f32> = noun_fits(scene.instances, &phrase.meaning());
     let sizes = phrase.sizes.iter().map(|&size| size_fits(scene.instances, &nouns, size)).collect::<Vec<_>>();
-    let withs: Vec<(Vec<f32>, &With)> = phrase.with.iter().map(|with| (phrase_fits(scene, &with.phrase), with)).collect();
+    let withs: Vec<(Vec<(usize, f32)>, &With)> =
+        phrase.with.iter().map(|with| (most_plausible(&phrase_fits(scene, &with.phrase), MAX_CARRIED), with)).collect();
     scene
         .instances
         .iter()
@@ -32,14 +33,29 @@ pub fn phrase_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
         .map(|(i, instance)| {
             let colours = colours_fit(phrase, instance);
             let sizes: f32 = sizes.iter().map(|fits| fits[i]).product();
-            let carried: f32 = withs.iter().map(|(fits, with)| with_fit(scene, i, fits, with)).product();
+            let carried: f32 = withs.iter().map(|(things, with)| with_fit(scene, i, things, with)).product();
             nouns[i] * colours * sizes * carried
         })
         .collect()
 }
 
-/// How many of the scene's instances fit a phrase at all.
+/// An instance may be meant when it fits at least this well, against the best.
 pub(super) const PLAUSIBLE: f32 = 0.3;
+/// Things looked at for "with a book on it".
+const MAX_CARRIED: usize = 64;
+
+/// Indices that may be meant, with their fit: the best `limit` of those above [`PLAUSIBLE`], in order of index.
+pub(super) fn most_plausible(fits: &[f32], limit: usize) -> Vec<(usize, f32)> {
+    let best = fits.iter().copied().fold(0.0, f32::max);
+    let mut plausible: Vec<(usize, f32)> =
+        fits.iter().copied().enumerate().filter(|&(_, fit)| fit > 0.0 && fit >= PLAUSIBLE * best).collect();
+    if plausible.len() > limit {
+        plausible.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        plausible.truncate(limit);
+        plausible.sort_by_key(|&(i, _)| i);
+    }
+    plausible
+}
 
 fn noun_fits(instances: &[Instance], meaning: &Meaning) -> Vec<f32> {
     let fit = |instance: &Instance| match meaning {
@@ -66,11 +82,9 @@ fn noun_fits(instances: &[Instance], meaning: &Meaning) -> Vec<f32> {
 fn colours_fit(phrase: &Phrase, instance: &Instance) -> f32 {
     // Two colours share the surface: each needs to be there, neither needs to rule.
     let n = phrase.colours.len().max(1) as f32;
-    phrase
-        .colours
-        .iter()
-        .map(|&c| (attributes::colour_fit(c, instance) * n.sqrt()).clamp(WRONG_COLOUR, 1.0))
-        .product()
+    let wanted = phrase.colours.iter().map(|&c| (attributes::colour_fit(c, instance) * n.sqrt()).clamp(WRONG_COLOUR, 1.0));
+    let unwanted = phrase.other_than.iter().map(|&c| (1.0 - attributes::colour_fit(c, instance)).max(WRONG_COLOUR));
+    wanted.chain(unwanted).product()
 }
 
 /// "large" and "small" are relative: to the other things the noun may mean.
@@ -100,16 +114,17 @@ fn size_fits(instances: &[Instance], nouns: &[f32], size: SizeWord) -> Vec<f32> 
 }
 
 /// "with the orange seat" is about the thing's own colour; "with a book on it" about another thing resting on it.
-fn with_fit(scene: SceneView, carrier: usize, fits: &[f32], with: &With) -> f32 {
+fn with_fit(scene: SceneView, carrier: usize, things: &[(usize, f32)], with: &With) -> f32 {
     if PARTS.contains(&with.phrase.head.as_str()) {
         let own = colours_fit(&with.phrase, &scene.instances[carrier]);
         return if with.absent { 1.0 - own } else { own };
     }
-    let carried = (0..scene.instances.len())
-        .filter(|&i| i != carrier && fits[i] > 0.0)
-        .map(|i| {
+    let carried = things
+        .iter()
+        .filter(|&&(i, _)| i != carrier)
+        .map(|&(i, fit)| {
             let (thing, on) = (&scene.instances[i].aabb, &scene.instances[carrier].aabb);
-            fits[i] * relations::on(thing, on).max(relations::inside(thing, on)).max(0.3 * relations::near(thing, on))
+            fit * relations::on(thing, on).max(relations::inside(thing, on)).max(0.3 * relations::near(thing, on))
         })
         .fold(0.0, f32::max);
     let carried = 0.1 + 0.9 * carried;

@@ -58,7 +58,7 @@ pub async fn cancel(State(app): State<App>, Path(job_id): Path<String>) -> Resul
 
 /// Follows a job: `progress` events while it goes on, then one `done`; data is the job.
 ///
-/// `Last-Event-ID` resumes: what the caller has seen is not sent again.
+/// `Last-Event-ID` resumes: progress the caller has seen is not sent again; the end is always told.
 #[utoipa::path(
     get, path = "/v1/jobs/{job_id}/events", tag = "jobs",
     params(("job_id" = String, Path), ("Last-Event-ID" = Option<String>, Header)),

@@ -125,6 +125,9 @@ pub async fn list(
     if !(1..=100).contains(&limit) {
         return Err(Problem::invalid("limit", "must be 1 to 100"));
     }
+    if cursor.as_ref().is_some_and(|cursor| cursor.parse::<uuid::Uuid>().is_err()) {
+        return Err(Problem::invalid("cursor", "must be the next_cursor of the page before"));
+    }
     Ok(axum::Json(app.service.scenes(limit, cursor.as_deref()).await?))
 }
 

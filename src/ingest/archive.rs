@@ -141,17 +141,14 @@ impl<'a> Sink<'a> {
             return Err(IngestError::ArchiveTooLarge { limit: format!("{} files", self.limits.max_entries) });
         }
         let path = self.target.join(safe_path(name)?);
-        let io = |source| IngestError::Io { file: name.into(), source };
+        let io = |source| cannot_store(name, source);
         if let Some(folder) = path.parent()
             && !self.folders.contains(folder)
         {
             fs::create_dir_all(folder).map_err(io)?;
             self.folders.insert(folder.to_owned());
         }
-        let mut file = File::create_new(&path).map_err(|source| match source.kind() {
-            io::ErrorKind::AlreadyExists => IngestError::UnsafeEntry { entry: name.into(), reason: "stands in the archive twice" },
-            _ => io(source),
-        })?;
+        let mut file = File::create_new(&path).map_err(io)?;
         let mut buffer = vec![0; 64 << 10];
         loop {
             let n = content.read(&mut buffer).map_err(|e| self.unreadable(format!("{name}: {e}")))?;
@@ -164,6 +161,18 @@ impl<'a> Sink<'a> {
             file.write_all(&buffer[..n]).map_err(io)?;
         }
     }
+}
+
+/// Some names fit an archive but not a disk; a full disk is the server's trouble.
+fn cannot_store(name: &str, source: io::Error) -> IngestError {
+    use io::ErrorKind::{AlreadyExists, InvalidFilename, InvalidInput, IsADirectory, NotADirectory};
+    let reason = match source.kind() {
+        AlreadyExists => "stands in the archive twice",
+        InvalidFilename | InvalidInput => "has a name no disk takes",
+        IsADirectory | NotADirectory => "is both a file and a folder",
+        _ => return IngestError::Io { file: name.into(), source },
+    };
+    IngestError::UnsafeEntry { entry: name.into(), reason }
 }
 
 /// The entry's path when it is relative and stays inside the archive.

@@ -58,6 +58,18 @@ pub enum IngestError {
 }
 
 impl IngestError {
+    /// A file of the archive that could not be read: the uploader's doing unless the disk failed.
+    pub(super) fn reading(file: impl Into<Utf8PathBuf>, source: io::Error) -> Self {
+        use io::ErrorKind::{InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound};
+        let file = file.into();
+        match source.kind() {
+            NotFound => Self::MissingFile { file },
+            InvalidData => Self::malformed(file, "not a text file in UTF-8"),
+            IsADirectory | NotADirectory | InvalidFilename | InvalidInput => Self::malformed(file, "not the name of a file"),
+            _ => Self::Io { file, source },
+        }
+    }
+
     pub(super) fn malformed(file: impl Into<Utf8PathBuf>, reason: impl ToString) -> Self {
         Self::Malformed { file: file.into(), reason: reason.to_string() }
     }

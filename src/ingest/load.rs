@@ -7,7 +7,7 @@ use crate::geometry::boxes::Aabb;
 use crate::geometry::up_axis::UpAxis;
 use crate::geometry::{Isometry3, Point3};
 use crate::progress::Progress;
-use crate::scene::{FrameIndex, FrameRef, ImportReport, PointCloud, SceneBundle};
+use crate::scene::{FrameRef, ImportReport, PointCloud, SceneBundle};
 use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -29,7 +29,7 @@ pub struct ImportSettings {
 pub fn load(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> Result<SceneBundle, IngestError> {
     progress.report("import", 0.0)?;
     let mut warnings = scan.warnings.clone();
-    let in_file_world = scan.frames.iter().enumerate().map(|(i, f)| frame_ref(scan, i, f)).collect::<Result<Vec<_>, _>>()?;
+    let in_file_world = scan.frames.iter().map(|frame| frame_ref(scan, frame)).collect::<Result<Vec<_>, _>>()?;
     let poses: Vec<_> = in_file_world.iter().map(|f| f.camera_to_world).collect();
     let up = settings.up.or(scan.up).unwrap_or_else(|| guess_up(&poses, &mut warnings));
     let to_z_up = up.to_z_up();
@@ -85,15 +85,14 @@ fn own_cloud_of(scan: &Scan, file: &Utf8Path, to_z_up: &Isometry3<f32>, warnings
 }
 
 /// A frame with its pose as the scan declares it, still in the file's world.
-fn frame_ref(scan: &Scan, index: usize, raw: &RawFrame) -> Result<FrameRef, IngestError> {
-    let index = FrameIndex(index as u32);
+fn frame_ref(scan: &Scan, raw: &RawFrame) -> Result<FrameRef, IngestError> {
     let camera_to_world = raw.camera_to_world(scan.pose, scan.camera_axes).map_err(|source| IngestError::BadPose {
-        frame: index,
+        frame: raw.index,
         file: raw.pose_file.clone(),
         source,
     })?;
     Ok(FrameRef {
-        index,
+        index: raw.index,
         color: scan.root.join(&raw.color),
         depth: scan.root.join(&raw.depth),
         color_intrinsics: raw.color_intrinsics,

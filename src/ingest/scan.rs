@@ -3,7 +3,7 @@
 use super::IngestError;
 use crate::geometry::up_axis::UpAxis;
 use crate::geometry::{Isometry3, Matrix4, pose};
-use crate::scene::{Intrinsics, PoseConvention};
+use crate::scene::{FrameIndex, Intrinsics, PoseConvention};
 use camino::{Utf8Path, Utf8PathBuf};
 use image::ImageReader;
 
@@ -27,6 +27,8 @@ pub struct Scan {
 
 #[derive(Debug, Clone)]
 pub struct RawFrame {
+    /// Place in the scan's own list.
+    pub index: FrameIndex,
     pub color: Utf8PathBuf,
     pub depth: Utf8PathBuf,
     pub pose_file: Utf8PathBuf,
@@ -67,9 +69,16 @@ pub(super) fn picture_size(root: &Utf8Path, file: &Utf8Path) -> Result<(u32, u32
     if !path.is_file() {
         return Err(IngestError::MissingFile { file: file.to_owned() });
     }
-    let io = |source| IngestError::Io { file: file.to_owned(), source };
+    let io = |source| IngestError::reading(file, source);
     let reader = ImageReader::open(&path).map_err(io)?.with_guessed_format().map_err(io)?;
-    reader
+    let (width, height) = reader
         .into_dimensions()
-        .map_err(|e| IngestError::malformed(file, format!("not a readable picture: {e}")))
+        .map_err(|e| IngestError::malformed(file, format!("not a readable picture: {e}")))?;
+    if u64::from(width) * u64::from(height) > MAX_PIXELS {
+        return Err(IngestError::malformed(file, format!("{width}x{height} is more than {} megapixels", MAX_PIXELS / 1_000_000)));
+    }
+    Ok((width, height))
 }
+
+/// Several pictures are decoded at once: each may take some hundred megabytes, not more.
+const MAX_PIXELS: u64 = 40_000_000;

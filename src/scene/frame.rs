@@ -3,7 +3,7 @@
 use super::{Camera, Intrinsics};
 use crate::geometry::Isometry3;
 use camino::{Utf8Path, Utf8PathBuf};
-use image::{ImageReader, RgbImage};
+use image::{DynamicImage, ImageReader, RgbImage};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::io;
@@ -51,6 +51,8 @@ pub enum FrameError {
         #[source]
         source: image::ImageError,
     },
+    #[error("frame {frame}: {file} is no depth picture: it must be 16-bit grey, this is {found}")]
+    NotDepth { frame: FrameIndex, file: Utf8PathBuf, found: String },
     #[error("frame {frame}: {file} is {found_width}x{found_height}, its intrinsics say {width}x{height}")]
     WrongSize { frame: FrameIndex, file: Utf8PathBuf, found_width: u32, found_height: u32, width: u32, height: u32 },
 }
@@ -117,14 +119,21 @@ impl FrameRef {
     /// # Errors
     /// [`FrameError`] naming the frame and the file.
     pub fn decode_depth(&self) -> Result<DepthImage, FrameError> {
-        let image = self.read(&self.depth)?.into_luma16();
+        let image = match self.read(&self.depth)? {
+            DynamicImage::ImageLuma16(image) => image,
+            // Eight bits would be stretched, colours mixed: neither is a depth.
+            other => {
+                let (file, found) = (self.depth.file_name_in_scene(), format!("{:?}", other.color()));
+                return Err(FrameError::NotDepth { frame: self.index, file, found });
+            }
+        };
         self.expect_size(&self.depth, image.dimensions(), &self.depth_intrinsics)?;
         let (width, height) = image.dimensions();
         let depth_m = image.into_raw().into_iter().map(|unit| f32::from(unit) * self.depth_scale_m).collect();
         Ok(DepthImage { width, height, depth_m })
     }
 
-    fn read(&self, file: &Utf8Path) -> Result<image::DynamicImage, FrameError> {
+    fn read(&self, file: &Utf8Path) -> Result<DynamicImage, FrameError> {
         let unreadable = |source| FrameError::Unreadable { frame: self.index, file: file.file_name_in_scene(), source };
         let reader = ImageReader::open(file).map_err(unreadable)?.with_guessed_format().map_err(unreadable)?;
         reader

@@ -10,6 +10,7 @@
 
 use super::lifting::{FrameVisibility, VisibleSuperpoint};
 use super::superpoints::Patch;
+use crate::progress::{Cancelled, Progress};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -35,29 +36,30 @@ pub struct Edge {
     pub affinity: f32,
 }
 
-/// The edges of a graph over `0..patches.len()`: all pairs up to `max_hop` borders apart, sorted by `(a, b)`.
-#[must_use]
-pub fn pairs_within(adjacent: &[(u32, u32)], count: usize, max_hop: u32) -> Vec<(u32, u32, u32)> {
+/// The edges of a graph over `0..count`: all pairs up to `max_hop` borders apart, sorted by `(a, b)`.
+///
+/// # Errors
+/// [`Cancelled`].
+pub fn pairs_within(adjacent: &[(u32, u32)], count: usize, max_hop: u32, progress: &Progress) -> Result<Vec<(u32, u32, u32)>, Cancelled> {
     let mut neighbours = vec![Vec::new(); count];
     for &(a, b) in adjacent {
         neighbours[a as usize].push(b);
         neighbours[b as usize].push(a);
     }
-    (0..count as u32)
+    let around: Vec<Vec<(u32, u32, u32)>> = (0..count as u32)
         .into_par_iter()
-        .flat_map_iter(|start| {
+        .map(|start| {
+            progress.check()?;
             let mut hops: BTreeMap<u32, u32> = BTreeMap::from([(start, 0)]);
             let mut ring = vec![start];
             for hop in 1..=max_hop {
                 let reached: Vec<u32> = ring.iter().flat_map(|&n| neighbours[n as usize].iter().copied()).collect();
                 ring = reached.into_iter().filter(|&n| hops.insert_if_new(n, hop)).collect();
             }
-            hops.into_iter()
-                .filter(move |&(n, _)| n > start)
-                .map(move |(n, hop)| (start, n, hop))
-                .collect::<Vec<_>>()
+            Ok(hops.into_iter().filter(|&(n, _)| n > start).map(|(n, hop)| (start, n, hop)).collect())
         })
-        .collect()
+        .collect::<Result<_, Cancelled>>()?;
+    Ok(around.concat())
 }
 
 trait InsertIfNew {
@@ -77,8 +79,16 @@ impl InsertIfNew for BTreeMap<u32, u32> {
 }
 
 /// Eq. (1) for every pair.
-#[must_use]
-pub fn compute(pairs: &[(u32, u32, u32)], patches: &[Patch], tables: &[FrameVisibility], normalisation: Normalisation) -> Vec<Edge> {
+///
+/// # Errors
+/// [`Cancelled`].
+pub fn compute(
+    pairs: &[(u32, u32, u32)],
+    patches: &[Patch],
+    tables: &[FrameVisibility],
+    normalisation: Normalisation,
+    progress: &Progress,
+) -> Result<Vec<Edge>, Cancelled> {
     // Row of each superpoint per frame, so that a pair is two look-ups.
     const ABSENT: u32 = u32::MAX;
     let rows: Vec<Vec<u32>> = tables
@@ -94,6 +104,7 @@ pub fn compute(pairs: &[(u32, u32, u32)], patches: &[Patch], tables: &[FrameVisi
     pairs
         .par_iter()
         .map(|&(a, b, hop)| {
+            progress.check()?;
             let (mut consistent, mut weight, mut frames) = (0.0, 0.0, 0.0_f32);
             for (table, row_of) in tables.iter().zip(&rows) {
                 let (row_a, row_b) = (row_of[a as usize], row_of[b as usize]);
@@ -113,7 +124,7 @@ pub fn compute(pairs: &[(u32, u32, u32)], patches: &[Patch], tables: &[FrameVisi
                 Normalisation::Normalised => consistent / weight,
                 Normalisation::Literal => consistent / frames,
             };
-            Edge { a, b, hop, affinity }
+            Ok(Edge { a, b, hop, affinity })
         })
         .collect()
 }
@@ -177,8 +188,8 @@ mod tests {
         // Frame 1 sees half of 0 and all of 1, in one mask; frame 2 sees all of both, in different masks.
         let tables = [table(&[(0, 5, &[(1, 5)]), (1, 10, &[(1, 10)])]), table(&[(0, 10, &[(1, 10)]), (1, 10, &[(2, 10)])])];
         let patches = [patch(10), patch(10)];
-        let normalised = compute(&[(0, 1, 1)], &patches, &tables, Normalisation::Normalised)[0].affinity;
-        let literal = compute(&[(0, 1, 1)], &patches, &tables, Normalisation::Literal)[0].affinity;
+        let normalised = compute(&[(0, 1, 1)], &patches, &tables, Normalisation::Normalised, &Progress::silent()).unwrap()[0].affinity;
+        let literal = compute(&[(0, 1, 1)], &patches, &tables, Normalisation::Literal, &Progress::silent()).unwrap()[0].affinity;
         assert!((normalised - 0.5 / 1.5).abs() < 1e-6, "{normalised}");
         assert!((literal - 0.5 / 2.0).abs() < 1e-6, "{literal}");
     }
@@ -186,12 +197,12 @@ mod tests {
     #[test]
     fn frames_without_masks_say_nothing() {
         let tables = [table(&[(0, 10, &[(1, 10)]), (1, 10, &[(1, 10)])]), table(&[(0, 10, &[]), (1, 10, &[(2, 10)])])];
-        assert_eq!(compute(&[(0, 1, 1)], &[patch(10), patch(10)], &tables, Normalisation::Normalised)[0].affinity, 1.0);
+        assert_eq!(compute(&[(0, 1, 1)], &[patch(10), patch(10)], &tables, Normalisation::Normalised, &Progress::silent()).unwrap()[0].affinity, 1.0);
     }
 
     #[test]
     fn hops_count_borders() {
-        let pairs = pairs_within(&[(0, 1), (1, 2), (2, 3)], 4, 2);
+        let pairs = pairs_within(&[(0, 1), (1, 2), (2, 3)], 4, 2, &Progress::silent()).unwrap();
         assert_eq!(pairs, [(0, 1, 1), (0, 2, 2), (1, 2, 1), (1, 3, 2), (2, 3, 1)]);
     }
 }

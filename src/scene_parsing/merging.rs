@@ -51,12 +51,12 @@ pub fn merge(
     let mut graph = Graph { patches: superpoints.patches.clone(), adjacent: superpoints.adjacent.clone(), tables };
     for (stage, &threshold) in settings.thresholds.iter().enumerate() {
         progress.report("merge", stage as f32 / settings.thresholds.len() as f32)?;
-        let edges = graph.edges(settings);
-        let grown = grow(&graph.patches, &edges, threshold, settings.hop_decay);
+        let edges = graph.edges(settings, progress)?;
+        let grown = grow(&graph.patches, &edges, threshold, settings.hop_decay, progress)?;
         region_of.iter_mut().for_each(|r| *r = grown[*r as usize]);
         graph = graph.coarsened(&grown);
     }
-    let absorbed = absorb_small(&graph.patches, &graph.edges(settings), settings.min_points);
+    let absorbed = absorb_small(&graph.patches, &graph.edges(settings, progress)?, settings.min_points);
     region_of.iter_mut().for_each(|r| *r = absorbed[*r as usize]);
     Ok(region_of)
 }
@@ -69,9 +69,9 @@ struct Graph {
 }
 
 impl Graph {
-    fn edges(&self, settings: &MergeSettings) -> Vec<Edge> {
-        let pairs = affinity::pairs_within(&self.adjacent, self.patches.len(), settings.max_hop);
-        affinity::compute(&pairs, &self.patches, &self.tables, settings.normalisation)
+    fn edges(&self, settings: &MergeSettings, progress: &Progress) -> Result<Vec<Edge>, Cancelled> {
+        let pairs = affinity::pairs_within(&self.adjacent, self.patches.len(), settings.max_hop, progress)?;
+        affinity::compute(&pairs, &self.patches, &self.tables, settings.normalisation, progress)
     }
 
     /// The graph whose primitives are the regions of this one.
@@ -96,7 +96,7 @@ impl Graph {
 
 /// One stage: regions grow from the largest primitives and take a neighbour whose point-weighted mean affinity to the
 /// members within reach passes the threshold. Returns regions numbered in order of their seeds.
-fn grow(patches: &[Patch], edges: &[Edge], threshold: f32, hop_decay: f32) -> Vec<u32> {
+fn grow(patches: &[Patch], edges: &[Edge], threshold: f32, hop_decay: f32, progress: &Progress) -> Result<Vec<u32>, Cancelled> {
     const NONE: u32 = u32::MAX;
     let neighbours = neighbour_lists(patches.len(), edges);
     let mut order: Vec<u32> = (0..patches.len() as u32).collect();
@@ -107,6 +107,7 @@ fn grow(patches: &[Patch], edges: &[Edge], threshold: f32, hop_decay: f32) -> Ve
         if region[seed as usize] != NONE {
             continue;
         }
+        progress.check()?;
         // Weighted affinity of each outsider to the region so far, and the sum of the weights.
         let mut bond: BTreeMap<u32, (f32, f32)> = BTreeMap::new();
         let mut queue = VecDeque::new();
@@ -136,7 +137,7 @@ fn grow(patches: &[Patch], edges: &[Edge], threshold: f32, hop_decay: f32) -> Ve
         }
         regions += 1;
     }
-    region
+    Ok(region)
 }
 
 fn neighbour_lists(count: usize, edges: &[Edge]) -> Vec<Vec<(u32, u32, f32)>> {
@@ -194,15 +195,15 @@ mod tests {
 
     #[test]
     fn a_chain_breaks_at_its_weak_link() {
-        let region = grow(&patches(&[100, 90, 80, 70]), &[edge(0, 1, 0.95), edge(1, 2, 0.3), edge(2, 3, 0.95)], 0.9, 0.5);
-        assert_eq!(region, [0, 0, 1, 1]);
+        let region = grow(&patches(&[100, 90, 80, 70]), &[edge(0, 1, 0.95), edge(1, 2, 0.3), edge(2, 3, 0.95)], 0.9, 0.5, &Progress::silent());
+        assert_eq!(region, Ok(vec![0, 0, 1, 1]));
     }
 
     #[test]
     fn a_neighbour_must_suit_the_whole_region() {
         // 2 is close to 1 but a stranger to the far larger 0: 0 and 1 merge first and then outvote 1.
         let edges = [edge(0, 1, 0.95), edge(0, 2, 0.1), edge(1, 2, 0.95)];
-        assert_eq!(grow(&patches(&[1000, 50, 60]), &edges, 0.9, 0.5), [0, 0, 1]);
+        assert_eq!(grow(&patches(&[1000, 50, 60]), &edges, 0.9, 0.5, &Progress::silent()), Ok(vec![0, 0, 1]));
     }
 
     #[test]

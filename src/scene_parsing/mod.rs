@@ -80,8 +80,8 @@ pub fn parse(
     let region_of = clock.time("merging", || merging::merge(&superpoints, tables, &settings.merging, &progress.part(0.75, 0.85)))?;
     let (mut instances, instance_of_point) = clock.time("instances", || {
         let region_of_point: Vec<u32> = superpoints.of_point.iter().map(|&s| region_of[s as usize]).collect();
-        instances::build(&cloud, &region_of_point, &settings.instances)
-    });
+        instances::build(&cloud, &region_of_point, &settings.instances, &progress.part(0.85, 0.88))
+    })?;
 
     let viewing = progress.part(0.88, 1.0);
     let mut sightings = Vec::new();

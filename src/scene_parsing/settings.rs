@@ -59,7 +59,7 @@ impl ParsingSettings {
         let positive = |v: f32| v.is_finite() && v > 0.0;
         let share = |v: f32| (0.0..=1.0).contains(&v);
         let weight = |v: f32| v.is_finite() && v >= 0.0;
-        let rules: [(&str, bool, &str); 28] = [
+        let rules: [(&str, bool, &str); 29] = [
             ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
             ("/frame_sampling/max_frames", frame_sampling.max_frames != Some(0), "at least 1, or null"),
             ("/superpoints/voxel_m", (0.001..=10.0).contains(&superpoints.voxel_m), "0.001 to 10 metres"),
@@ -95,6 +95,7 @@ impl ParsingSettings {
             ("/merging/hop_decay", share(merging.hop_decay) && merging.hop_decay > 0.0, "above 0, at most 1"),
             ("/instances/trim", (0.0..0.5).contains(&instances.trim), "0 to 0.5"),
             ("/instances/stray_voxel_m", (0.001..=10.0).contains(&instances.stray_voxel_m), "0.001 to 10 metres"),
+            ("/views/min_share_of_best", share(views.min_share_of_best), "0 to 1"),
             ("/views/count", (1..=16).contains(&views.count), "1 to 16"),
         ];
         rules

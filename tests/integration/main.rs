@@ -8,6 +8,7 @@
 mod access;
 mod archives;
 mod bad_input;
+mod conventions;
 mod layering;
 mod openapi;
 mod requests;

@@ -131,6 +131,10 @@ impl Reader {
     }
 
     fn noun(&mut self, head: &str) {
+        // "not" speaks of the word that follows: a colour or a relation. "Not the chair" is nothing that can be used.
+        if std::mem::take(&mut self.negated) {
+            self.query.not_understood.push("not".into());
+        }
         // "computer desk": in English the last noun is the head.
         if !self.open.head.is_empty() && !words::is_anything(&self.open.head) {
             let modifier = std::mem::take(&mut self.open.head);
@@ -143,8 +147,9 @@ impl Reader {
     fn word(&mut self, meaning: Meaning, text: &str, rest: &[Piece]) {
         match meaning {
             Meaning::Relation(kind) => {
+                let negated = std::mem::take(&mut self.negated);
                 self.close();
-                let relation = Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated: std::mem::take(&mut self.negated) };
+                let relation = Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated, };
                 self.query.relations.push(relation);
                 self.slot = Some(Slot::Anchor);
                 if matches!(kind, RelationKind::AgainstWall | RelationKind::InCorner) {
@@ -162,7 +167,10 @@ impl Reader {
             }
             Meaning::Superlative(measure) => self.superlative(measure, text, rest),
             Meaning::Ordinal(rank) => self.ordinal = Some(rank),
-            Meaning::Colour(colour) => self.open.colours.push(colour),
+            Meaning::Colour(colour) => match std::mem::take(&mut self.negated) {
+                true => self.open.other_than.push(colour),
+                false => self.open.colours.push(colour),
+            },
             Meaning::Size(size) => self.open.sizes.push(size),
             Meaning::Not => self.negated = true,
             Meaning::And => match self.slot() {
@@ -240,6 +248,7 @@ impl Reader {
             Slot::Target if self.target_read => {
                 // A later sentence adds to the target: "it is brown".
                 self.query.target.colours.extend(phrase.colours);
+                self.query.target.other_than.extend(phrase.other_than);
                 self.query.target.sizes.extend(phrase.sizes);
                 if self.query.target.head.is_empty() {
                     self.query.target.head = phrase.head;
@@ -309,6 +318,8 @@ mod tests {
             ("the tallest bookcase", "bookcase; Tallest 1"),
             ("where is the backpack?", "backpack"),
             ("the one that is not next to the door", "one; not Near(door)"),
+            ("the sofa that is not red near the blue chair", "not red sofa; Near(blue chair)"),
+            ("the sofa which isn't red", "not red sofa"),
         ] {
             assert_eq!(summary(query), expected, "{query}");
         }

@@ -28,6 +28,8 @@ pub struct Phrase {
     /// The noun as the query says it; empty when the phrase has none ("the red one").
     pub head: String,
     pub colours: Vec<ColourName>,
+    /// Colours it must not have: "not red".
+    pub other_than: Vec<ColourName>,
     pub sizes: Vec<SizeWord>,
     /// Words in front of the noun that nothing here can check: "leather", "patterned".
     pub unchecked: Vec<String>,
@@ -73,7 +75,7 @@ impl Phrase {
     #[must_use]
     pub fn text(&self) -> String {
         let sizes = self.sizes.iter().map(|s| s.word());
-        let colours = self.colours.iter().map(|c| c.word());
+        let colours = self.other_than.iter().flat_map(|c| ["not", c.word()]).chain(self.colours.iter().map(|c| c.word()));
         let head = if self.head.is_empty() { "thing" } else { &self.head };
         sizes
             .chain(colours)

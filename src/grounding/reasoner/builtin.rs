@@ -7,7 +7,7 @@ use super::Verdict;
 use crate::geometry::Vector3;
 use crate::grounding::answer::described;
 use crate::grounding::direction::Directions;
-use crate::grounding::fit::{PLAUSIBLE, phrase_fits};
+use crate::grounding::fit::{most_plausible, phrase_fits};
 use crate::grounding::query::{Meaning, Measure, ParsedQuery, Phrase, Relation, RelationKind, Superlative};
 use crate::grounding::relations::{self, Room};
 use crate::grounding::{SceneView, Status};
@@ -28,6 +28,11 @@ const CONTRADICTED: f32 = 0.05;
 const NEXT_BEST: f32 = 0.45;
 /// Sharpness with which scores become shares of belief.
 const BELIEF_POWER: i32 = 4;
+
+/// Anchors looked at per relation, the best ones: what bounds the work on a question over thousands of instances.
+const MAX_ANCHORS: usize = 64;
+/// The same for each anchor of "between", where pairs are looked at.
+const MAX_ANCHORS_OF_A_PAIR: usize = 16;
 
 /// An anchor chosen for one relation, with the score of the pair.
 #[derive(Debug, Clone, Copy)]
@@ -114,7 +119,8 @@ fn best_instance<'a>(scene: SceneView<'a>, phrase: &Phrase) -> Option<&'a Instan
 
 /// For every instance as target: its best anchors and how well the relation holds.
 fn bonds(scene: SceneView, relation: &Relation, fits: &[f32], directions: &Directions, room: &Room) -> Vec<Bond> {
-    let anchors: Vec<Vec<(usize, f32)>> = relation.anchors.iter().map(|phrase| plausible(&phrase_fits(scene, phrase))).collect();
+    let most_anchors = if relation.kind == RelationKind::Between { MAX_ANCHORS_OF_A_PAIR } else { MAX_ANCHORS };
+    let anchors: Vec<Vec<(usize, f32)>> = relation.anchors.iter().map(|phrase| most_plausible(&phrase_fits(scene, phrase), most_anchors)).collect();
     let free = |score: f32| Bond { score, anchor: None };
     let bonds: Vec<Bond> = match (relation.kind, &anchors[..]) {
         (RelationKind::AgainstWall | RelationKind::InCorner, _) => scene
@@ -139,12 +145,6 @@ fn bonds(scene: SceneView, relation: &Relation, fits: &[f32], directions: &Direc
         true => bonds.into_iter().map(|b| Bond { score: 1.0 - b.score, ..b }).collect(),
         false => bonds,
     }
-}
-
-/// Indices that may be meant, with their fit.
-fn plausible(fits: &[f32]) -> Vec<(usize, f32)> {
-    let best = fits.iter().copied().fold(0.0, f32::max);
-    fits.iter().copied().enumerate().filter(|&(_, fit)| fit > 0.0 && fit >= PLAUSIBLE * best).collect()
 }
 
 fn best_bond(scene: SceneView, kind: RelationKind, target: usize, anchors: &[(usize, f32)], directions: &Directions, room: &Room) -> Bond {
@@ -180,7 +180,7 @@ fn better(best: Bond, other: Bond) -> Bond {
 
 /// "closest to" compares the things the target may be: each place further down the list counts less.
 fn ranked_by_distance(scene: SceneView, kind: RelationKind, fits: &[f32], anchors: &[(usize, f32)]) -> Vec<Bond> {
-    let rivals = plausible(fits);
+    let rivals = most_plausible(fits, usize::MAX);
     let mut bonds = vec![Bond { score: 0.0, anchor: None }; fits.len()];
     for &(a, anchor_fit) in anchors {
         let anchor = &scene.instances[a];
@@ -215,7 +215,7 @@ fn apply_superlative(scene: SceneView, superlative: Superlative, fits: &[f32], d
         Measure::Frontmost => along(i, directions.front),
         Measure::Backmost => -along(i, directions.front),
     };
-    let mut order: Vec<usize> = plausible(fits).into_iter().map(|(t, _)| t).collect();
+    let mut order: Vec<usize> = most_plausible(fits, usize::MAX).into_iter().map(|(t, _)| t).collect();
     order.sort_by(|&a, &b| measure(&scene.instances[b]).total_cmp(&measure(&scene.instances[a])).then(a.cmp(&b)));
     let asked = superlative.rank.max(1) as f32 - 1.0;
     let places: BTreeMap<usize, f32> = soft_places(&order, fits).into_iter().collect();
@@ -302,7 +302,7 @@ fn explain(scene: SceneView, parsed: &ParsedQuery, best: usize, fits: &[f32], bo
         }
     }
     if let Some(superlative) = parsed.superlative {
-        let rivals = plausible(fits).len();
+        let rivals = most_plausible(fits, usize::MAX).len();
         let _ = write!(text, "; {} of {rivals}", format!("{:?}", superlative.measure).to_lowercase());
     }
     if let Some(anchor) = viewpoint {

@@ -12,6 +12,10 @@ use ply_rs_bw::ply::{ElementDef, Encoding, Property, PropertyAccess, PropertyAcc
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 
+/// Points further from the origin than this are refused, metres: single precision and voxel keys end there. Map coordinates
+/// (UTM) need an offset taken off first.
+pub const MAX_COORDINATE_M: f32 = 10_000.0;
+
 /// A cloud and how many of its points were dropped for coordinates that are not finite.
 #[derive(Debug)]
 pub struct Loaded {
@@ -41,6 +45,10 @@ pub fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Loaded, IngestError> {
     if vertex.count as u64 > bytes / 3 {
         return Err(malformed(format!("it announces {} vertices but has only {bytes} bytes", vertex.count)));
     }
+    // The same for what comes before the vertices: those rows are read too.
+    if let Some(liar) = header.elements.values().find(|e| e.count as u64 > bytes || (e.properties.is_empty() && e.count > 0)) {
+        return Err(malformed(format!("it announces {} rows of {:?} but has only {bytes} bytes", liar.count, liar.name)));
+    }
     let has_colour = ["red", "green", "blue"].iter().all(|c| vertex.properties.contains_key(*c));
     let vertices_first = header.elements.values().next().is_some_and(|e| e.name == "vertex");
     let mut loaded = Loaded { cloud: PointCloud::default(), dropped: 0, has_colour };
@@ -56,6 +64,13 @@ pub fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Loaded, IngestError> {
                 break;
             }
         }
+    }
+    let far = |p: &&Point3<f32>| p.iter().any(|c| c.abs() > MAX_COORDINATE_M);
+    if let Some(p) = loaded.cloud.positions.iter().find(far) {
+        return Err(malformed(format!(
+            "the point ({}, {}, {}) lies more than 10 km from the origin: take an offset off the whole scan first",
+            p.x, p.y, p.z
+        )));
     }
     if loaded.cloud.is_empty() {
         return Err(IngestError::EmptyCloud { file: file.to_owned() });
@@ -328,6 +343,9 @@ mod tests {
             (header("binary_little_endian", 1_000_000_000, XYZ_RGB), "announces 1000000000 vertices"),
             ([header("binary_little_endian", 3, XYZ_RGB), vec![0; 20]].concat(), "truncated"),
             ([header("ascii", 2, XYZ_RGB), b"1 2 3 4 5 6\n".to_vec()].concat(), "1 of 2 vertices"),
+            (b"ply\nformat binary_little_endian 1.0\nelement foo 400000000\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n".to_vec(), "400000000 rows"),
+            ([header("ascii", 1, XYZ_RGB), b"500000 5400000 3 4 5 6\n".to_vec()].concat(), "10 km"),
+            ([header("ascii", 1, XYZ_RGB), b"3e38 0 3 4 5 6\n".to_vec()].concat(), "10 km"),
             ([header("ascii", 1, "property float x\nproperty float y\n"), b"1 2\n".to_vec()].concat(), "no property z"),
             (header("ascii", 0, XYZ_RGB), "no points"),
         ] {

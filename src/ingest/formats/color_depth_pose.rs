@@ -5,7 +5,7 @@
 use super::{entries, read_numbers, read_pose};
 use crate::ingest::IngestError;
 use crate::ingest::scan::{CameraAxes, RawFrame, Scan, picture_size};
-use crate::scene::{Intrinsics, PoseConvention};
+use crate::scene::{FrameIndex, Intrinsics, PoseConvention};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::BTreeMap;
 
@@ -34,6 +34,7 @@ pub(super) fn read(root: &Utf8Path) -> Result<Scan, IngestError> {
         for (stem, color) in &color {
             let pose_file = pose[stem].clone();
             frames.push(RawFrame {
+                index: FrameIndex(0),
                 color: color.clone(),
                 depth: depth[stem].clone(),
                 pose: read_pose(root, &pose_file)?,

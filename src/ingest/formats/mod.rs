@@ -58,11 +58,7 @@ fn entries(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
 
 /// Reads a file of whitespace-separated numbers.
 fn read_numbers(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<f32>, IngestError> {
-    let text = fs::read_to_string(root.join(file)).map_err(|source| match source.kind() {
-        std::io::ErrorKind::NotFound => IngestError::MissingFile { file: file.to_owned() },
-        std::io::ErrorKind::InvalidData => IngestError::malformed(file, "not a text file"),
-        _ => IngestError::Io { file: file.to_owned(), source },
-    })?;
+    let text = fs::read_to_string(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
     text.split_whitespace()
         .map(|word| {
             word.trim_end_matches(',')

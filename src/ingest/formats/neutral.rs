@@ -4,7 +4,7 @@ use super::read_pose;
 use crate::geometry::up_axis::UpAxis;
 use crate::ingest::IngestError;
 use crate::ingest::scan::{CameraAxes, RawFrame, Scan};
-use crate::scene::{Intrinsics, PoseConvention};
+use crate::scene::{FrameIndex, Intrinsics, PoseConvention};
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
 use std::fs;
@@ -55,9 +55,9 @@ fn camera_to_world() -> PoseConvention {
 
 pub(super) fn read(root: &Utf8Path) -> Result<Scan, IngestError> {
     let file = Utf8Path::new("scene.json");
-    let text = fs::read_to_string(root.join(file)).map_err(|source| IngestError::Io { file: file.into(), source })?;
+    let text = fs::read_to_string(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
     let Manifest { format, name, up, cloud, intrinsics, depth_intrinsics, depth_scale_m, camera_axes, pose, frames } =
-        serde_json::from_str(&text).map_err(|e| IngestError::malformed(file, e))?;
+        serde_json::from_str(text.trim_start_matches('\u{feff}')).map_err(|e| IngestError::malformed(file, e))?;
     if format != FORMAT {
         return Err(IngestError::malformed(file, format!("format is {format:?}, this server reads {FORMAT:?}")));
     }
@@ -76,6 +76,7 @@ pub(super) fn read(root: &Utf8Path) -> Result<Scan, IngestError> {
                 inside(path)?;
             }
             Ok(RawFrame {
+                index: FrameIndex(0),
                 pose: read_pose(root, &frame.pose)?,
                 color: frame.color,
                 depth: frame.depth,

@@ -7,6 +7,7 @@ mod support;
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::colour::ColourHistogram;
 use crate::geometry::{Matrix3, Point3, Vector3};
+use crate::progress::{Cancelled, Progress};
 use crate::scene::{Instance, InstanceId, PointCloud};
 use nalgebra::SymmetricEigen;
 use rayon::prelude::*;
@@ -33,8 +34,15 @@ impl Default for InstanceSettings {
 /// Builds instances from the region of each point. Returns them in order of id and the instance of each point.
 ///
 /// Ids count from 1 in falling order of points; ties by the region's first point.
-#[must_use]
-pub fn build(cloud: &PointCloud, region_of_point: &[u32], settings: &InstanceSettings) -> (Vec<Instance>, Vec<InstanceId>) {
+///
+/// # Errors
+/// [`Cancelled`].
+pub fn build(
+    cloud: &PointCloud,
+    region_of_point: &[u32],
+    settings: &InstanceSettings,
+    progress: &Progress,
+) -> Result<(Vec<Instance>, Vec<InstanceId>), Cancelled> {
     let count = region_of_point.iter().max().map_or(0, |&r| r as usize + 1);
     let mut members: Vec<Vec<u32>> = vec![Vec::new(); count];
     for (i, &region) in region_of_point.iter().enumerate() {
@@ -46,10 +54,13 @@ pub fn build(cloud: &PointCloud, region_of_point: &[u32], settings: &InstanceSet
     for (i, points) in members.iter().enumerate() {
         points.iter().for_each(|&p| of_point[p as usize] = InstanceId(i as u32 + 1));
     }
-    let shapes: Vec<Shape> = members.par_iter().map(|points| Shape::of(cloud, points, settings)).collect();
+    let shapes: Vec<Shape> = members
+        .par_iter()
+        .map(|points| progress.check().map(|()| Shape::of(cloud, points, settings)))
+        .collect::<Result<_, Cancelled>>()?;
     let room = structure::Room::of(&shapes);
     let structures: Vec<_> = shapes.iter().map(|shape| room.structure_of(shape)).collect();
-    let supports = support::all(&shapes, &structures, room.floor_z);
+    let supports = support::all(&shapes, &structures, room.floor_z, progress)?;
     let instances = shapes
         .into_iter()
         .zip(structures)
@@ -71,7 +82,7 @@ pub fn build(cloud: &PointCloud, region_of_point: &[u32], settings: &InstanceSet
             names: Vec::new(),
         })
         .collect();
-    (instances, of_point)
+    Ok((instances, of_point))
 }
 
 /// What the points of one region look like, before they are compared with the others.
