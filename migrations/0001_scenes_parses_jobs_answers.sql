@@ -52,6 +52,8 @@ CREATE INDEX answers_by_scene ON answers (scene_id);
 CREATE TABLE jobs (
     id          TEXT PRIMARY KEY,
     kind        TEXT NOT NULL,
+    -- What it works on: the scene's id.
+    subject     TEXT NOT NULL,
     payload     TEXT NOT NULL,
     state       TEXT NOT NULL CHECK (state IN ('queued', 'running', 'succeeded', 'failed', 'cancelled')),
     stage       TEXT,
@@ -65,6 +67,7 @@ CREATE TABLE jobs (
     finished_at TEXT
 ) STRICT;
 CREATE INDEX jobs_by_state ON jobs (state, id);
+CREATE INDEX jobs_by_subject ON jobs (subject);
 
 CREATE TABLE idempotency_keys (
     key        TEXT PRIMARY KEY,

@@ -81,9 +81,12 @@ impl Error {
                 IngestError::Cancelled(_) => "cancelled",
             },
             Self::Parse(error) => match error {
-                ParseError::Frame(FrameError::Unreadable { .. } | FrameError::Undecodable { .. } | FrameError::NotDepth { .. } | FrameError::WrongSize { .. }) => {
-                    "frame_unreadable"
-                }
+                ParseError::Frame(
+                    FrameError::Unreadable { .. }
+                    | FrameError::Undecodable { .. }
+                    | FrameError::NotDepth { .. }
+                    | FrameError::WrongSize { .. },
+                ) => "frame_unreadable",
                 ParseError::NoPoints => "cloud_empty",
                 ParseError::Cancelled(_) => "cancelled",
             },

@@ -24,8 +24,11 @@ const PARTS: [&str; 22] = [
 pub fn phrase_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
     let nouns: Vec<f32> = noun_fits(scene.instances, &phrase.meaning());
     let sizes = phrase.sizes.iter().map(|&size| size_fits(scene.instances, &nouns, size)).collect::<Vec<_>>();
-    let withs: Vec<(Vec<(usize, f32)>, &With)> =
-        phrase.with.iter().map(|with| (most_plausible(&phrase_fits(scene, &with.phrase), MAX_CARRIED), with)).collect();
+    let withs: Vec<(Vec<(usize, f32)>, &With)> = phrase
+        .with
+        .iter()
+        .map(|with| (most_plausible(&phrase_fits(scene, &with.phrase), MAX_CARRIED), with))
+        .collect();
     scene
         .instances
         .iter()
@@ -82,7 +85,10 @@ fn noun_fits(instances: &[Instance], meaning: &Meaning) -> Vec<f32> {
 fn colours_fit(phrase: &Phrase, instance: &Instance) -> f32 {
     // Two colours share the surface: each needs to be there, neither needs to rule.
     let n = phrase.colours.len().max(1) as f32;
-    let wanted = phrase.colours.iter().map(|&c| (attributes::colour_fit(c, instance) * n.sqrt()).clamp(WRONG_COLOUR, 1.0));
+    let wanted = phrase
+        .colours
+        .iter()
+        .map(|&c| (attributes::colour_fit(c, instance) * n.sqrt()).clamp(WRONG_COLOUR, 1.0));
     let unwanted = phrase.other_than.iter().map(|&c| (1.0 - attributes::colour_fit(c, instance)).max(WRONG_COLOUR));
     wanted.chain(unwanted).product()
 }

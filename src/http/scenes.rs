@@ -219,8 +219,7 @@ pub async fn parse(
     Path(scene_id): Path<String>,
     Json(ParseRequest { preset, settings }): Json<ParseRequest>,
 ) -> Result<(StatusCode, axum::Json<Job>), Problem> {
-    let settings = ParseSettings::from_request(preset, settings)?;
-    Ok((StatusCode::ACCEPTED, axum::Json(app.service.start_parse(&scene_id, &settings).await?)))
+    Ok((StatusCode::ACCEPTED, axum::Json(app.service.reparse(&scene_id, preset, settings).await?)))
 }
 
 /// The cloud in its own colours, PLY.

@@ -54,6 +54,7 @@ impl Job {
         let JobRow {
             id,
             kind,
+            subject: _,
             payload: _,
             state,
             stage,

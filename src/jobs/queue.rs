@@ -61,22 +61,39 @@ impl Jobs {
     ///
     /// # Errors
     /// [`JobsError::QueueFull`] when too many wait already.
-    pub async fn submit(&self, kind: &str, payload: &str) -> Result<Job, JobsError> {
-        let queued = self.store.queued_jobs().await?;
-        if queued >= self.max_queued {
-            return Err(JobsError::QueueFull { queued });
-        }
-        let row = self.store.insert_job(kind, payload).await?;
+    pub async fn submit(&self, kind: &str, subject: &str, payload: &str) -> Result<Job, JobsError> {
+        self.check_room().await?;
+        let row = self.store.insert_job(kind, subject, payload).await?;
         self.wake.notify_one();
         Ok(Job::from_row(row, Timestamp::now()))
+    }
+
+    /// Whether another job may be queued.
+    ///
+    /// # Errors
+    /// [`JobsError::QueueFull`].
+    pub async fn check_room(&self) -> Result<(), JobsError> {
+        let queued = self.store.queued_jobs().await?;
+        if queued >= self.max_queued { Err(JobsError::QueueFull { queued }) } else { Ok(()) }
+    }
+
+    /// Asks every job on a subject to stop.
+    ///
+    /// # Errors
+    /// [`JobsError::Store`].
+    pub async fn cancel_all_of(&self, subject: &str) -> Result<(), JobsError> {
+        for id in self.store.open_jobs_of(subject).await? {
+            self.cancel(&id).await?;
+        }
+        Ok(())
     }
 
     /// Records a job whose result was there already.
     ///
     /// # Errors
     /// [`JobsError::Store`].
-    pub async fn submit_done(&self, kind: &str, payload: &str, message: &str) -> Result<Job, JobsError> {
-        let row = self.store.insert_done_job(kind, payload, message).await?;
+    pub async fn submit_done(&self, kind: &str, subject: &str, payload: &str, message: &str) -> Result<Job, JobsError> {
+        let row = self.store.insert_done_job(kind, subject, payload, message).await?;
         Ok(Job::from_row(row, Timestamp::now()))
     }
 

@@ -13,6 +13,7 @@ use tokio_util::sync::CancellationToken;
 
 /// What a job is run with.
 pub struct JobContext {
+    pub id: String,
     pub payload: String,
     /// Progress sink and cancellation in one.
     pub progress: Progress,
@@ -81,7 +82,7 @@ impl Jobs {
         let beating = running.clone();
         let progress = Progress::new(move |stage, progress| beating.beat(Pulse { stage, progress }), running.cancel.clone());
         // A task of its own: a handler that panics ends its job, not the worker.
-        let mut work = tokio::spawn(handler(JobContext { payload, progress }));
+        let mut work = tokio::spawn(handler(JobContext { id: id.clone(), payload, progress }));
         let mut saving = time::interval(SAVE_EVERY);
         saving.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
         let result = loop {
@@ -95,7 +96,7 @@ impl Jobs {
                 }
             }
         };
-        let ended = self.end(&id, result, shutdown).await;
+        let ended = self.end(&id, result, running.cancel.is_cancelled(), shutdown).await;
         self.lock().remove(&id);
         ended
     }
@@ -104,12 +105,15 @@ impl Jobs {
         &self,
         id: &str,
         result: Result<Result<String, JobFailure>, tokio::task::JoinError>,
+        cancelled: bool,
         shutdown: &CancellationToken,
     ) -> Result<(), StoreError> {
         match result {
             Ok(Ok(message)) => self.store.finish_job(id, JobState::Succeeded, Some(&message), None).await,
-            Ok(Err(JobFailure::Cancelled)) if shutdown.is_cancelled() => self.store.requeue_job(id).await,
+            Ok(Err(_)) if shutdown.is_cancelled() => self.store.requeue_job(id).await,
             Ok(Err(JobFailure::Cancelled)) => self.store.finish_job(id, JobState::Cancelled, None, None).await,
+            // Asked to stop, it stumbled over what was taken from under it: that is no failure of its own.
+            Ok(Err(JobFailure::Failed { .. })) if cancelled => self.store.finish_job(id, JobState::Cancelled, None, None).await,
             Ok(Err(JobFailure::Failed { code, detail })) => {
                 tracing::warn!(job = id, code, detail, "job failed");
                 self.store.finish_job(id, JobState::Failed, None, Some((&code, &detail))).await
@@ -177,7 +181,7 @@ mod tests {
             ("nobody", JobState::Failed, Some("unknown_job_kind")),
             ("ok", JobState::Succeeded, None),
         ] {
-            let id = jobs.submit(kind, "x").await.unwrap().id;
+            let id = jobs.submit(kind, "s", "x").await.unwrap().id;
             let job = until(&jobs, &id, |j| j.state.is_final()).await;
             assert_eq!((job.state, job.error.map(|e| e.code)), (state, code.map(str::to_owned)), "{kind}");
         }
@@ -194,9 +198,9 @@ mod tests {
             let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
             async move { jobs.work(&handlers(), shutdown).await }
         });
-        let first = jobs.submit("waits", "").await.unwrap().id;
-        let second = jobs.submit("waits", "").await.unwrap().id;
-        let third = jobs.submit("waits", "").await.unwrap().id;
+        let first = jobs.submit("waits", "s", "").await.unwrap().id;
+        let second = jobs.submit("waits", "s", "").await.unwrap().id;
+        let third = jobs.submit("waits", "s", "").await.unwrap().id;
         until(&jobs, &first, |j| j.stage.as_deref() == Some("waiting") && j.progress == 0.5).await;
         assert_eq!(jobs.cancel(&third).await.unwrap().state, JobState::Cancelled);
         jobs.cancel(&first).await.unwrap();
@@ -213,8 +217,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let jobs = queue(&folder).await;
         for _ in 0..10 {
-            jobs.submit("ok", "").await.unwrap();
+            jobs.submit("ok", "s", "").await.unwrap();
         }
-        assert!(matches!(jobs.submit("ok", "").await, Err(crate::jobs::JobsError::QueueFull { queued: 10 })));
+        assert!(matches!(jobs.submit("ok", "s", "").await, Err(crate::jobs::JobsError::QueueFull { queued: 10 })));
     }
 }

@@ -197,7 +197,10 @@ mod tests {
     #[test]
     fn frames_without_masks_say_nothing() {
         let tables = [table(&[(0, 10, &[(1, 10)]), (1, 10, &[(1, 10)])]), table(&[(0, 10, &[]), (1, 10, &[(2, 10)])])];
-        assert_eq!(compute(&[(0, 1, 1)], &[patch(10), patch(10)], &tables, Normalisation::Normalised, &Progress::silent()).unwrap()[0].affinity, 1.0);
+        assert_eq!(
+            compute(&[(0, 1, 1)], &[patch(10), patch(10)], &tables, Normalisation::Normalised, &Progress::silent()).unwrap()[0].affinity,
+            1.0
+        );
     }
 
     #[test]

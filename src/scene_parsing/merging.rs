@@ -195,7 +195,13 @@ mod tests {
 
     #[test]
     fn a_chain_breaks_at_its_weak_link() {
-        let region = grow(&patches(&[100, 90, 80, 70]), &[edge(0, 1, 0.95), edge(1, 2, 0.3), edge(2, 3, 0.95)], 0.9, 0.5, &Progress::silent());
+        let region = grow(
+            &patches(&[100, 90, 80, 70]),
+            &[edge(0, 1, 0.95), edge(1, 2, 0.3), edge(2, 3, 0.95)],
+            0.9,
+            0.5,
+            &Progress::silent(),
+        );
         assert_eq!(region, Ok(vec![0, 0, 1, 1]));
     }
 

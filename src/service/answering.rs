@@ -10,6 +10,7 @@ use crate::grounding::{self, Alternative, Candidate, Grounding, ParsedQuerySumma
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::sync::OwnedSemaphorePermit;
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 use utoipa::ToSchema;
@@ -285,14 +286,19 @@ impl Service {
         Ok(serde_json::from_str(&row.body)?)
     }
 
-    /// Runs stage 2 work on a blocking thread, a bounded number at once.
+    /// Waits for one of the bounded places at work; not for long.
+    pub(super) async fn turn(&self) -> Result<OwnedSemaphorePermit, Error> {
+        let turn = timeout(PATIENCE, self.questions.clone().acquire_owned()).await;
+        turn.ok().and_then(Result::ok).ok_or(Error::Overloaded)
+    }
+
+    /// Runs stage 2 work on a blocking thread.
     async fn computed<T: Send + 'static>(
         &self,
         parse: Arc<LoadedParse>,
         work: impl FnOnce(SceneView) -> T + Send + 'static,
     ) -> Result<T, Error> {
-        let turn = timeout(PATIENCE, self.questions.clone().acquire_owned()).await;
-        let Ok(Ok(permit)) = turn else { return Err(Error::Overloaded) };
+        let permit = self.turn().await?;
         let result = spawn_blocking(move || {
             let _permit = permit;
             work(SceneView { instances: &parse.instances, extent: parse.extent })

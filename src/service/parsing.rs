@@ -146,15 +146,32 @@ impl Service {
         let payload = serde_json::to_string(&Payload { scene_id: scene.id.clone(), settings: settings.clone() })?;
         let job = match self.stored_parse(&scene, settings).await? {
             Some(parse_id) => {
-                self.store.set_scene_parse(&scene.id, &parse_id).await?;
-                self.jobs
-                    .submit_done(PARSE_JOB, &payload, "the stored parse of the same content and settings is used")
-                    .await?
+                let message = "the stored parse of the same content and settings is used";
+                let job = self.jobs.submit_done(PARSE_JOB, &scene.id, &payload, message).await?;
+                self.store.set_scene_parse(&scene.id, &parse_id, &job.id).await?;
+                job
             }
-            None => self.jobs.submit(PARSE_JOB, &payload).await?,
+            None => self.jobs.submit(PARSE_JOB, &scene.id, &payload).await?,
         };
         self.store.set_scene_job(&scene.id, &job.id).await?;
         Ok(job)
+    }
+
+    /// Parses a scene again: a preset with single values replaced. What is up was settled at the upload and stays, unless said.
+    ///
+    /// # Errors
+    /// [`Error`] for settings that make no sense, an unknown scene or a full queue.
+    pub async fn reparse(&self, scene_id: &str, preset: ParsePreset, overrides: Option<serde_json::Value>) -> Result<Job, Error> {
+        let mut settings = ParseSettings::from_request(preset, overrides)?;
+        let scene = self.scene_row(scene_id).await?;
+        if settings.import.up.is_none()
+            && let Some(job_id) = &scene.job_id
+            && let Some(job) = self.store.job(job_id).await?
+        {
+            let Payload { settings: before, .. } = serde_json::from_str(&job.payload)?;
+            settings.import.up = before.import.up;
+        }
+        self.start_parse(scene_id, &settings).await
     }
 
     async fn stored_parse(&self, scene: &SceneRow, settings: &ParseSettings) -> Result<Option<String>, Error> {
@@ -181,11 +198,11 @@ impl Service {
         })
     }
 
-    async fn run_parse(&self, JobContext { payload, progress }: JobContext) -> Result<String, Error> {
+    async fn run_parse(&self, JobContext { id: job_id, payload, progress }: JobContext) -> Result<String, Error> {
         let Payload { scene_id, settings } = serde_json::from_str(&payload)?;
         let scene = self.scene_row(&scene_id).await?;
         if let Some(parse_id) = self.stored_parse(&scene, &settings).await? {
-            self.store.set_scene_parse(&scene_id, &parse_id).await?;
+            self.store.set_scene_parse(&scene_id, &parse_id, &job_id).await?;
             return Ok("the stored parse of the same content and settings is used".into());
         }
         let (content, scratch) = (self.store.blobs.content(&scene.content_hash), self.store.blobs.scratch()?);
@@ -218,7 +235,7 @@ impl Service {
             // Somebody parsed the same meanwhile, or the scene is gone.
             false => self.stored_parse(&scene, &settings).await?.ok_or(Error::SceneNotFound { id: scene_id.clone() })?,
         };
-        self.store.set_scene_parse(&scene_id, &parse_id).await?;
+        self.store.set_scene_parse(&scene_id, &parse_id, &job_id).await?;
         let report = &parsed.report;
         Ok(format!("{} instances from {} points and {} frames", report.instances, report.points, report.frames_used))
     }

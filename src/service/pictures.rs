@@ -23,7 +23,9 @@ impl Service {
         let answer: Answer = serde_json::from_str(&row.body)?;
         let parse = self.loaded_parse(&row.parse_id).await?;
         let cloud_file = self.store.blobs.parse(&row.parse_id).join("cloud.ply");
+        let permit = self.turn().await?;
         spawn_blocking(move || {
+            let _permit = permit;
             let cloud = ingest::read_cloud(&cloud_file)?;
             // Later boxes lie on top: candidates, anchor, answer.
             let mut boxes: BTreeMap<(u8, u32), LabelledBox> = BTreeMap::new();

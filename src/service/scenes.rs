@@ -103,10 +103,7 @@ impl Service {
     /// # Errors
     /// [`Error::SceneNotFound`].
     pub async fn delete_scene(&self, id: &str) -> Result<(), Error> {
-        let row = self.scene_row(id).await?;
-        if let Some(job_id) = &row.job_id {
-            self.jobs.cancel(job_id).await?;
-        }
+        self.jobs.cancel_all_of(id).await?;
         let _references = self.content_references.lock().await;
         if self.store.delete_scene(id).await? { Ok(()) } else { Err(Error::SceneNotFound { id: id.into() }) }
     }

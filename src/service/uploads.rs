@@ -66,6 +66,9 @@ impl Service {
             let job = self.job_of(&row).await?;
             return Ok((self.present(row).await?, job));
         }
+        if parse.is_some() {
+            self.jobs.check_room().await?;
+        }
         let received = Arc::new(self.receive(body).await?);
         let mut unpacked = match self.store.has_content(&received.hash).await? {
             true => None,
@@ -85,14 +88,21 @@ impl Service {
             archive_name = name;
         }
         let name = name.or(archive_name).unwrap_or_else(|| "scene".into());
-        let row = self.store.insert_scene(&name, &received.hash, idempotency_key.as_deref()).await?;
+        let (row, new) = self.store.insert_scene(&name, &received.hash, idempotency_key.as_deref()).await?;
         drop(references);
         match parse {
-            Some(settings) => {
-                let job = self.start_parse(&row.id, &settings).await?;
-                Ok((self.scene(&row.id).await?, Some(job)))
+            Some(settings) if new => match self.start_parse(&row.id, &settings).await {
+                Ok(job) => Ok((self.scene(&row.id).await?, Some(job))),
+                Err(error) => {
+                    // Refused is refused: no scene that nobody parses stays behind.
+                    self.delete_scene(&row.id).await?;
+                    Err(error)
+                }
+            },
+            _ => {
+                let job = self.job_of(&row).await?;
+                Ok((self.present(row).await?, job))
             }
-            None => Ok((self.present(row).await?, None)),
         }
     }
 

@@ -28,6 +28,7 @@ impl JobState {
 pub struct JobRow {
     pub id: String,
     pub kind: String,
+    pub subject: String,
     pub payload: String,
     pub state: JobState,
     pub stage: Option<String>,
@@ -44,11 +45,12 @@ pub struct JobRow {
 impl Store {
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn insert_job(&self, kind: &str, payload: &str) -> Result<JobRow, StoreError> {
-        let sql = "INSERT INTO jobs (id, kind, payload, state, created_at) VALUES (?, ?, ?, 'queued', ?) RETURNING *";
+    pub async fn insert_job(&self, kind: &str, subject: &str, payload: &str) -> Result<JobRow, StoreError> {
+        let sql = "INSERT INTO jobs (id, kind, subject, payload, state, created_at) VALUES (?, ?, ?, ?, 'queued', ?) RETURNING *";
         Ok(sqlx::query_as(sql)
             .bind(Uuid::now_v7().to_string())
             .bind(kind)
+            .bind(subject)
             .bind(payload)
             .bind(now())
             .fetch_one(&self.writer)
@@ -59,13 +61,14 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn insert_done_job(&self, kind: &str, payload: &str, message: &str) -> Result<JobRow, StoreError> {
-        let sql = "INSERT INTO jobs (id, kind, payload, state, progress, message, created_at, started_at, finished_at)
-                   VALUES (?1, ?2, ?3, 'succeeded', 1.0, ?4, ?5, ?5, ?5) RETURNING *";
+    pub async fn insert_done_job(&self, kind: &str, subject: &str, payload: &str, message: &str) -> Result<JobRow, StoreError> {
+        let sql = "INSERT INTO jobs (id, kind, subject, payload, state, progress, message, created_at, started_at, finished_at)
+                   VALUES (?1, ?2, ?3, ?4, 'succeeded', 1.0, ?5, ?6, ?6, ?6) RETURNING *";
         let id = Uuid::now_v7().to_string();
         Ok(sqlx::query_as(sql)
             .bind(id)
             .bind(kind)
+            .bind(subject)
             .bind(payload)
             .bind(message)
             .bind(now())
@@ -117,7 +120,8 @@ impl Store {
         error: Option<(&str, &str)>,
     ) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = ?1, message = ?2, error_code = ?3, error = ?4, finished_at = ?5,
-                   progress = CASE WHEN ?1 = 'succeeded' THEN 1.0 ELSE progress END
+                   progress = CASE WHEN ?1 = 'succeeded' THEN 1.0 ELSE progress END,
+                   stage = CASE WHEN ?1 = 'succeeded' THEN NULL ELSE stage END
                    WHERE id = ?6 AND state IN ('queued', 'running')";
         let (code, detail) = error.unzip();
         sqlx::query(sql)
@@ -139,6 +143,15 @@ impl Store {
     pub async fn cancel_queued_job(&self, id: &str) -> Result<bool, StoreError> {
         let sql = "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ? AND state = 'queued'";
         Ok(sqlx::query(sql).bind(now()).bind(id).execute(&self.writer).await?.rows_affected() > 0)
+    }
+
+    /// Jobs on a subject that are not over.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn open_jobs_of(&self, subject: &str) -> Result<Vec<String>, StoreError> {
+        let sql = "SELECT id FROM jobs WHERE subject = ? AND state IN ('queued', 'running')";
+        Ok(sqlx::query_scalar(sql).bind(subject).fetch_all(&self.reader).await?)
     }
 
     /// Puts a running job back: the server stops, the next one goes on. A planned stop does not count as an attempt.

@@ -19,7 +19,9 @@ pub use scenes::SceneRow;
 use camino::Utf8Path;
 use jiff::Timestamp;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
+use std::fs::{self, File, TryLockError};
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 
 #[derive(Debug, thiserror::Error)]
@@ -30,6 +32,8 @@ pub enum StoreError {
     Migration(#[from] sqlx::migrate::MigrateError),
     #[error("the blob folder failed")]
     Blobs(#[from] io::Error),
+    #[error("another server uses this data folder")]
+    InUse,
     #[error("a stored record can not be read")]
     Record(#[from] serde_json::Error),
 }
@@ -40,6 +44,8 @@ pub struct Store {
     reader: SqlitePool,
     writer: SqlitePool,
     pub blobs: Blobs,
+    /// Held as long as the store lives: two servers over one folder would take each other's jobs and files.
+    _lock: Arc<File>,
 }
 
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
@@ -51,6 +57,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`] when the folder or the database can not be used.
     pub async fn open(data_dir: &Utf8Path) -> Result<Self, StoreError> {
+        let lock = lock(data_dir)?;
         let blobs = Blobs::open(data_dir)?;
         let options = SqliteConnectOptions::new()
             .filename(data_dir.join("uniground.sqlite"))
@@ -62,7 +69,7 @@ impl Store {
         let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
         sqlx::migrate!().run(&writer).await?;
         let reader = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
-        let store = Self { reader, writer, blobs };
+        let store = Self { reader, writer, blobs, _lock: Arc::new(lock) };
         store.sweep().await?;
         Ok(store)
     }
@@ -87,6 +94,16 @@ impl Store {
         let contents: Vec<String> = sqlx::query_scalar("SELECT hash FROM contents").fetch_all(&self.reader).await?;
         let parses: Vec<String> = sqlx::query_scalar("SELECT id FROM parses").fetch_all(&self.reader).await?;
         Ok(self.blobs.keep_only(&contents, &parses)?)
+    }
+}
+
+fn lock(data_dir: &Utf8Path) -> Result<File, StoreError> {
+    fs::create_dir_all(data_dir)?;
+    let file = File::create(data_dir.join("lock"))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(StoreError::InUse),
+        Err(TryLockError::Error(error)) => Err(error.into()),
     }
 }
 

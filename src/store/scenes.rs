@@ -16,11 +16,24 @@ pub struct SceneRow {
     pub updated_at: String,
 }
 
+const SCENE_OF_KEY: &str = "SELECT scenes.* FROM scenes JOIN idempotency_keys ON scene_id = scenes.id WHERE key = ?";
+
 impl Store {
+    /// Inserts a scene; or returns the one that the same key made before, and `false`.
+    ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn insert_scene(&self, name: &str, content_hash: &str, idempotency_key: Option<&str>) -> Result<SceneRow, StoreError> {
+    pub async fn insert_scene(
+        &self,
+        name: &str,
+        content_hash: &str,
+        idempotency_key: Option<&str>,
+    ) -> Result<(SceneRow, bool), StoreError> {
         let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
+        let made_before: Option<SceneRow> = sqlx::query_as(SCENE_OF_KEY).bind(idempotency_key).fetch_optional(&mut *tx).await?;
+        if let Some(scene) = made_before {
+            return Ok((scene, false));
+        }
         let time = now();
         let scene: SceneRow =
             sqlx::query_as("INSERT INTO scenes (id, name, content_hash, created_at, updated_at) VALUES (?, ?, ?, ?, ?) RETURNING *")
@@ -32,7 +45,7 @@ impl Store {
                 .fetch_one(&mut *tx)
                 .await?;
         if let Some(key) = idempotency_key {
-            sqlx::query("INSERT INTO idempotency_keys (key, scene_id, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
+            sqlx::query("INSERT INTO idempotency_keys (key, scene_id, created_at) VALUES (?, ?, ?)")
                 .bind(key)
                 .bind(&scene.id)
                 .bind(&time)
@@ -40,7 +53,7 @@ impl Store {
                 .await?;
         }
         tx.commit().await?;
-        Ok(scene)
+        Ok((scene, true))
     }
 
     /// # Errors
@@ -52,8 +65,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn scene_of_idempotency_key(&self, key: &str) -> Result<Option<SceneRow>, StoreError> {
-        let sql = "SELECT scenes.* FROM scenes JOIN idempotency_keys ON scene_id = scenes.id WHERE key = ?";
-        Ok(sqlx::query_as(sql).bind(key).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as(SCENE_OF_KEY).bind(key).fetch_optional(&self.reader).await?)
     }
 
     /// Scenes newest first, those before `cursor` (an id) only.
@@ -80,13 +92,15 @@ impl Store {
         Ok(())
     }
 
-    /// Makes a finished parse the scene's own; a new parse is a new version.
+    /// Makes a finished parse the scene's own, a new version; unless a later job than `job_id` was asked for meanwhile.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn set_scene_parse(&self, id: &str, parse_id: &str) -> Result<(), StoreError> {
-        let sql = "UPDATE scenes SET parse_version = parse_version + (parse_id IS NOT ?1), parse_id = ?1, updated_at = ?2 WHERE id = ?3";
-        sqlx::query(sql).bind(parse_id).bind(now()).bind(id).execute(&self.writer).await?;
+    pub async fn set_scene_parse(&self, id: &str, parse_id: &str, job_id: &str) -> Result<(), StoreError> {
+        // Ids are in order of time.
+        let sql = "UPDATE scenes SET parse_version = parse_version + (parse_id IS NOT ?1), parse_id = ?1, updated_at = ?2
+                   WHERE id = ?3 AND (job_id IS NULL OR job_id <= ?4)";
+        sqlx::query(sql).bind(parse_id).bind(now()).bind(id).bind(job_id).execute(&self.writer).await?;
         Ok(())
     }
 

@@ -24,6 +24,40 @@ fn refused() -> Vec<Case> {
     let whole = scan().zip();
     let truncated = whole[..whole.len() * 2 / 3].to_vec();
     vec![
+        (
+            "a pose on the moon",
+            ZIP,
+            scan().with("pose/2.txt", "1 0 0 4e8 0 1 0 0 0 0 1 0 0 0 0 1").zip(),
+            422,
+            "pose_invalid",
+            "pose/2.txt",
+        ),
+        (
+            "the focal length of a moonshot",
+            ZIP,
+            scan().edit("intrinsic.txt", "100 0", "1e30 0").zip(),
+            422,
+            "intrinsics_invalid",
+            "focal length",
+        ),
+        ("a JPEG cut short", ZIP, with_cut_jpeg().zip(), 422, "scene_file_malformed", "color/5.jpg"),
+        (
+            "a manifest in another encoding",
+            ZIP,
+            Scan::neutral().with("scene.json", b"\xff\xfe{\0}\0".to_vec()).zip(),
+            422,
+            "scene_file_malformed",
+            "UTF-8",
+        ),
+        (
+            "a folder for a file",
+            ZIP,
+            Scan::neutral().edit("scene.json", "pose/4.txt", "pose").zip(),
+            422,
+            "scene_file_malformed",
+            "pose",
+        ),
+        ("a name no disk takes", ZIP, zip_with_entry(&"x".repeat(300)), 422, "archive_entry_unsafe", "xxx"),
         ("not an archive", ZIP, b"hello".to_vec(), 422, "archive_unreadable", "zip"),
         ("nothing at all", ZIP, Vec::new(), 422, "archive_unreadable", "zip"),
         ("a zip cut short", ZIP, truncated, 422, "archive_unreadable", "zip"),
@@ -139,6 +173,12 @@ fn refused() -> Vec<Case> {
     ]
 }
 
+fn with_cut_jpeg() -> Scan {
+    let picture = image::load_from_memory(&Scan::frames_only().0["color/5.png"]).unwrap();
+    let jpeg = uniground::render::jpeg(&picture.into_rgb8());
+    Scan::frames_only().without("color/5.png").with("color/5.jpg", &jpeg[..jpeg.len() / 2])
+}
+
 fn lost_everywhere() -> Scan {
     (0..8).fold(Scan::frames_only(), |scan, i| scan.with(&format!("pose/{i}.txt"), "-inf ".repeat(16)))
 }
@@ -170,6 +210,8 @@ async fn what_shows_only_while_parsing_fails_the_job_by_name() {
     let cut_png = png[..png.len() / 2].to_vec();
     let no_depth = (0..8).fold(Scan::frames_only(), |scan, i| scan.with(&format!("depth/{i}.png"), blank_depth()));
     let inverse = (0..8).fold(Scan::frames_only().with("cloud.ply", crate::archives::cloud()), invert_pose);
+    let without_cloud = (0..8).fold(Scan::frames_only(), invert_pose);
+    let eight_bit = Scan::frames_only().with("depth/6.png", Scan::frames_only().0["color/6.png"].clone());
     for (what, scan, code, words) in [
         (
             "a depth picture cut short",
@@ -186,6 +228,14 @@ async fn what_shows_only_while_parsing_fails_the_job_by_name() {
             "cloud_empty",
             "cloud.ply",
         ),
+        ("depth in eight bits", eight_bit, "frame_unreadable", "16-bit grey"),
+        (
+            "a cloud in map coordinates",
+            Scan::cloud_only().with("cloud.ply", map_cloud()),
+            "scene_file_malformed",
+            "10 km",
+        ),
+        ("poses the wrong way round, no cloud to tell", without_cloud, "convention_mismatch", "world_to_camera"),
         ("no depth anywhere", no_depth, "no_usable_frames", "depth"),
         ("poses the wrong way round", inverse, "convention_mismatch", "world_to_camera"),
     ] {
@@ -219,6 +269,11 @@ async fn an_upload_over_the_limit_is_cut_off() {
     assert_eq!((refusal.status, refusal.code.as_str()), (413, "upload_too_large"));
     assert_eq!(server.stored("tmp"), Vec::<String>::new());
     server.stop().await;
+}
+
+fn map_cloud() -> Vec<u8> {
+    let row = [500_000.0_f32, 5_400_000.0, 100.0].into_iter().flat_map(f32::to_le_bytes).chain([9, 9, 9]);
+    ply_header(1).into_iter().chain(row).collect()
 }
 
 fn blank_depth() -> Vec<u8> {

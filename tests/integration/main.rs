@@ -13,6 +13,7 @@ mod layering;
 mod openapi;
 mod requests;
 mod restart;
+mod rivals;
 mod server;
 mod session;
 mod shared_scenes;

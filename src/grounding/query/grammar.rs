@@ -149,7 +149,7 @@ impl Reader {
             Meaning::Relation(kind) => {
                 let negated = std::mem::take(&mut self.negated);
                 self.close();
-                let relation = Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated, };
+                let relation = Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated };
                 self.query.relations.push(relation);
                 self.slot = Some(Slot::Anchor);
                 if matches!(kind, RelationKind::AgainstWall | RelationKind::InCorner) {

@@ -120,7 +120,11 @@ fn best_instance<'a>(scene: SceneView<'a>, phrase: &Phrase) -> Option<&'a Instan
 /// For every instance as target: its best anchors and how well the relation holds.
 fn bonds(scene: SceneView, relation: &Relation, fits: &[f32], directions: &Directions, room: &Room) -> Vec<Bond> {
     let most_anchors = if relation.kind == RelationKind::Between { MAX_ANCHORS_OF_A_PAIR } else { MAX_ANCHORS };
-    let anchors: Vec<Vec<(usize, f32)>> = relation.anchors.iter().map(|phrase| most_plausible(&phrase_fits(scene, phrase), most_anchors)).collect();
+    let anchors: Vec<Vec<(usize, f32)>> = relation
+        .anchors
+        .iter()
+        .map(|phrase| most_plausible(&phrase_fits(scene, phrase), most_anchors))
+        .collect();
     let free = |score: f32| Bond { score, anchor: None };
     let bonds: Vec<Bond> = match (relation.kind, &anchors[..]) {
         (RelationKind::AgainstWall | RelationKind::InCorner, _) => scene

@@ -46,7 +46,11 @@ pub fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Loaded, IngestError> {
         return Err(malformed(format!("it announces {} vertices but has only {bytes} bytes", vertex.count)));
     }
     // The same for what comes before the vertices: those rows are read too.
-    if let Some(liar) = header.elements.values().find(|e| e.count as u64 > bytes || (e.properties.is_empty() && e.count > 0)) {
+    if let Some(liar) = header
+        .elements
+        .values()
+        .find(|e| e.count as u64 > bytes || (e.properties.is_empty() && e.count > 0))
+    {
         return Err(malformed(format!("it announces {} rows of {:?} but has only {bytes} bytes", liar.count, liar.name)));
     }
     let has_colour = ["red", "green", "blue"].iter().all(|c| vertex.properties.contains_key(*c));

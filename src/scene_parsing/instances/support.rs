@@ -2,8 +2,8 @@
 
 use super::Shape;
 use crate::progress::{Cancelled, Progress};
-use rayon::prelude::*;
 use crate::scene::{InstanceId, Structure, Support};
+use rayon::prelude::*;
 
 /// Gap under which two surfaces count as touching, metres: a few voxels.
 const CONTACT_M: f32 = 0.06;
@@ -11,7 +11,12 @@ const CONTACT_M: f32 = 0.06;
 const MIN_OVERLAP: f32 = 0.3;
 
 /// Support of every shape, by index; instance ids are index + 1.
-pub(super) fn all(shapes: &[Shape], structures: &[Option<Structure>], floor_z: f32, progress: &Progress) -> Result<Vec<Support>, Cancelled> {
+pub(super) fn all(
+    shapes: &[Shape],
+    structures: &[Option<Structure>],
+    floor_z: f32,
+    progress: &Progress,
+) -> Result<Vec<Support>, Cancelled> {
     let of = |i| progress.check().map(|()| of(i, shapes, structures, floor_z));
     (0..shapes.len()).into_par_iter().map(of).collect()
 }

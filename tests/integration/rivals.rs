@@ -1,0 +1,113 @@
+//! Things that happen at the same time, or in an awkward order.
+
+use crate::archives::Scan;
+use crate::server::{Process, TestServer, ask, command, finished, problem};
+use camino::Utf8Path;
+use futures::future::join_all;
+use reqwest::Method;
+use serde_json::json;
+use uniground::config::LimitsConfig;
+use uniground::geometry::up_axis::UpAxis;
+use uniground::store::JobState;
+
+#[tokio::test]
+async fn one_key_sent_many_times_at_once_makes_one_scene() {
+    let server = TestServer::start().await;
+    let post = |_| async {
+        let request = server.client.request(Method::POST, "v1/scenes").header("content-type", "application/zip");
+        let response = request.header("idempotency-key", "once").body(Scan::neutral().zip()).send().await.unwrap();
+        response.json::<serde_json::Value>().await.unwrap()["scene"]["id"].as_str().unwrap().to_owned()
+    };
+    let ids = join_all((0..6).map(post)).await;
+    assert!(ids.iter().all(|id| *id == ids[0]), "{ids:?}");
+    assert_eq!(server.client.scenes(10, None).await.unwrap().scenes.len(), 1);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn an_upload_refused_for_a_full_queue_leaves_no_scene() {
+    let server = TestServer::start_with(LimitsConfig { max_queued_jobs: 0, ..LimitsConfig::default() }).await;
+    let refusal = problem(server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await);
+    assert_eq!((refusal.status, refusal.code.as_str()), (429, "queue_full"));
+    assert_eq!(server.client.scenes(10, None).await.unwrap().scenes, []);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_second_server_on_the_same_folder_is_refused() {
+    let data = tempfile::tempdir().unwrap();
+    let data = Utf8Path::from_path(data.path()).unwrap();
+    let first = Process::start(data);
+    let second = command(data, "127.0.0.1:0").output().unwrap();
+    let message = String::from_utf8_lossy(&second.stderr);
+    assert_eq!(second.status.code(), Some(1), "{message}");
+    assert!(message.contains("another server"), "{message}");
+    assert!(first.client.scenes(1, None).await.is_ok());
+    assert_eq!(first.terminate(), Some(0));
+}
+
+#[tokio::test]
+async fn what_is_up_survives_a_reparse() {
+    let server = TestServer::start().await;
+    let post = server.client.request(Method::POST, "v1/scenes?up=y").header("content-type", "application/zip");
+    let created: serde_json::Value = post.body(Scan::cloud_only().zip()).send().await.unwrap().json().await.unwrap();
+    let id = created["scene"]["id"].as_str().unwrap();
+    finished(&server.client, created["job"]["id"].as_str().unwrap()).await;
+    let before = server.client.scene(id).await.unwrap();
+    let job = server.client.parse(id, &json!({"settings": {"parsing": {"views": {"count": 4}}}})).await.unwrap();
+    assert_eq!(finished(&server.client, &job.id).await.state, JobState::Succeeded);
+    let after = server.client.scene(id).await.unwrap();
+    assert_eq!((after.import.unwrap().up, after.extent, after.parse_version), (UpAxis::Y, before.extent, 2));
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn the_latest_parse_asked_for_is_the_one_that_stays() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let slow = server
+        .client
+        .parse(&scene.id, &json!({"settings": {"parsing": {"superpoints": {"seed_m": 0.31}}}}))
+        .await
+        .unwrap();
+    let stored = server.client.parse(&scene.id, &json!({})).await.unwrap();
+    assert_eq!(stored.state, JobState::Succeeded);
+    assert_eq!(finished(&server.client, &slow.id).await.state, JobState::Succeeded);
+    let settings = server.client.scene(&scene.id).await.unwrap().settings.unwrap();
+    assert_eq!(settings, scene.settings.unwrap());
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn deleting_a_scene_stops_its_jobs() {
+    let server = TestServer::start().await;
+    let created = server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
+    let again = server.client.parse(&created.scene.id, &json!({"preset": "paper"})).await.unwrap();
+    server.client.delete_scene(&created.scene.id).await.unwrap();
+    for id in [created.job.unwrap().id, again.id] {
+        let job = finished(&server.client, &id).await;
+        assert!(matches!(job.state, JobState::Cancelled | JobState::Succeeded), "{job:?}");
+    }
+    assert_eq!((server.stored("blobs/contents").len(), server.stored("blobs/parses").len()), (0, 0));
+    server.stop().await;
+}
+
+/// Twenty thousand crumbs and a question over pairs of them: seconds would be too long.
+#[tokio::test]
+async fn a_question_over_thousands_of_instances_stays_quick() {
+    let server = TestServer::start().await;
+    let rows: Vec<u8> = (0..8000_u32)
+        .flat_map(|i| {
+            // A lattice of lone points, ten metres apart.
+            let at = [i % 20, i / 20 % 20, i / 400].map(|c| c as f32 * 10.0);
+            at.iter().flat_map(|c| c.to_le_bytes()).chain([200, 30, 30]).collect::<Vec<u8>>()
+        })
+        .collect();
+    let cloud = [crate::archives::ply_header(8000), rows].concat();
+    let scene = server.parsed(Scan::cloud_only().with("cloud.ply", cloud).zip()).await;
+    assert!(scene.counts.unwrap().instances > 5000);
+    let answer = server.client.ground(&scene.id, &ask("the thing between the thing and the thing")).await.unwrap();
+    println!("a question over {} instances took {:.0} ms", scene.report.unwrap().instances, answer.timings_ms.total);
+    assert!(answer.timings_ms.total < 2000.0, "{} ms", answer.timings_ms.total);
+    server.stop().await;
+}
