@@ -4,7 +4,7 @@ use crate::geometry::up_axis::UpAxis;
 use crate::ingest;
 use crate::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use crate::progress::Progress;
-use crate::scene::{ImportReport, Instance, ParseReport, write_instances_ply};
+use crate::scene::{ImportReport, Instance, ParseReport, ParsedScene, write_instances_ply};
 use crate::scene_parsing;
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
 use crate::service::{ParsePreset, ParseSettings};
@@ -12,6 +12,7 @@ use anyhow::Context;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Serialize;
 use std::fs::{self, File};
+use std::io::IsTerminal;
 use tokio_util::sync::CancellationToken;
 
 #[derive(Debug, clap::Args)]
@@ -57,16 +58,13 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     };
     let mut settings = ParseSettings::from_request(args.preset, overrides)?;
     settings.import.up = args.up.or(settings.import.up);
-    let ParseSettings { import, parsing } = settings;
     let unpacked = tempfile::tempdir()?;
     let folder = if args.scan.is_dir() { args.scan.clone() } else { unpack_archive(&args.scan, unpacked.path().try_into()?)? };
 
-    let progress = Progress::new(|stage, done| eprint!("\r{:>5.1} % {stage:<24}", done * 100.0), CancellationToken::new());
-    let bundle = ingest::load(&ingest::open(&folder)?, &import, &progress.part(0.0, 0.3))?;
-    let import = bundle.report.clone();
-    let masks = RgbdMasks { settings: parsing.rgbd_masks };
-    let parsed = scene_parsing::parse(bundle, &masks, &parsing, &progress.part(0.3, 1.0))?;
-    eprintln!("\r100.0 % {:<24}", "done");
+    let progress = Progress::new(show_progress, CancellationToken::new());
+    let parsed = parse_scan(&folder, &settings, &progress);
+    show_progress("", 1.0);
+    let (import, parsed) = parsed?;
 
     let report = Report { import: &import, parse: &parsed.report };
     if let Some(out) = &args.report {
@@ -81,6 +79,21 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
         print_summary(&report, &parsed.instances);
     }
     Ok(())
+}
+
+fn parse_scan(folder: &Utf8Path, settings: &ParseSettings, progress: &Progress) -> anyhow::Result<(ImportReport, ParsedScene)> {
+    let bundle = ingest::load(&ingest::open(folder)?, &settings.import, &progress.part(0.0, 0.3))?;
+    let import = bundle.report.clone();
+    let masks = RgbdMasks { settings: settings.parsing.rgbd_masks };
+    Ok((import, scene_parsing::parse(bundle, &masks, &settings.parsing, &progress.part(0.3, 1.0))?))
+}
+
+/// One line that is written over; nothing where nobody watches.
+fn show_progress(stage: &str, done: f32) {
+    if std::io::stderr().is_terminal() {
+        let percent = if stage.is_empty() { String::new() } else { format!("{:.1} %", done * 100.0) };
+        eprint!("\r{percent:>7} {stage:<24}\r");
+    }
 }
 
 fn unpack_archive(archive: &Utf8Path, into: &Utf8Path) -> anyhow::Result<Utf8PathBuf> {
