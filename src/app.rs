@@ -73,13 +73,12 @@ impl RunningService {
         self.worker.await?;
         // A caller that stalls in the middle of its request must not keep the process alive.
         let abort = self.server.abort_handle();
-        let served = match timeout(GRACE, self.server).await {
-            Ok(served) => served?,
-            Err(_) => {
-                tracing::warn!("some requests did not finish in time and are cut off");
-                abort.abort();
-                Ok(())
-            }
+        let served = if let Ok(served) = timeout(GRACE, self.server).await {
+            served?
+        } else {
+            tracing::warn!("some requests did not finish in time and are cut off");
+            abort.abort();
+            Ok(())
         };
         self.store.close().await;
         Ok(served?)
