@@ -173,6 +173,7 @@ fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
     let target = &parsed.target;
     let sizes = target.sizes.iter().map(|s| s.word().to_owned());
     let colours = target.colours.iter().map(|c| c.word().to_owned());
+    let other_than = target.other_than.iter().map(|c| format!("not {}", c.word()));
     let with = target
         .with
         .iter()
@@ -180,7 +181,7 @@ fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
     let superlative = parsed.superlative.map(|s| format!("{:?}", s.measure).to_lowercase());
     ParsedQuerySummary {
         target: if target.meaning() == Meaning::Anything && target.head.is_empty() { "thing".into() } else { target.head.clone() },
-        attributes: sizes.chain(colours).chain(with).chain(superlative).collect(),
+        attributes: sizes.chain(colours).chain(other_than).chain(with).chain(superlative).collect(),
         anchors: parsed
             .relations
             .iter()
