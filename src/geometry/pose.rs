@@ -1,6 +1,6 @@
 //! Rigid transforms read from untrusted files.
 
-use super::{Isometry3, Matrix3, Matrix4, Vector3};
+use super::{Isometry3, MAX_COORDINATE_M, Matrix3, Matrix4, Vector3};
 use nalgebra::{Rotation3, Translation3, UnitQuaternion};
 
 /// Why a 4x4 matrix is not a pose.
@@ -13,9 +13,6 @@ pub enum PoseError {
     #[error("pose lies {kilometres:.0} km from the origin, more than 10: take an offset off the whole scan first")]
     TooFar { kilometres: f32 },
 }
-
-/// Single precision and voxel keys end here, metres.
-const MAX_COORDINATE_M: f32 = 10_000.0;
 
 /// Largest entry of `RᵀR - I` that still counts as rounding in a text file.
 const ORTHONORMAL_TOLERANCE: f32 = 0.02;

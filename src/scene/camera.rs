@@ -1,6 +1,6 @@
 //! Pinhole cameras in the OpenCV convention.
 
-use crate::geometry::{Isometry3, Point3, Vector3};
+use crate::geometry::{Isometry3, Point3};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -93,17 +93,12 @@ impl Camera {
     pub fn center(&self) -> Point3<f32> {
         self.center
     }
-
-    /// A rotation matrix's worth of direction: the viewing direction in the world.
-    #[must_use]
-    pub fn forward(&self) -> Vector3<f32> {
-        self.world_to_own.rotation.inverse() * Vector3::z()
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Vector3;
     use proptest::prelude::*;
 
     const VGA: Intrinsics = Intrinsics { width: 640, height: 480, fx: 577.87, fy: 577.87, cx: 319.5, cy: 239.5 };
@@ -121,7 +116,7 @@ mod tests {
         // Columns of camera-to-world: image right = world +X, image down = world -Z, forward = world +Y.
         let matrix = nalgebra::Matrix4::new(1., 0., 0., 1., 0., 0., 1., -2., 0., -1., 0., 1.5, 0., 0., 0., 1.);
         let camera = Camera::new(VGA, &crate::geometry::pose::rigid(&matrix).unwrap());
-        assert!((camera.forward() - Vector3::y()).norm() < 1e-5);
+        assert!((camera.world_to_camera().inverse() * Vector3::z() - Vector3::y()).norm() < 1e-5);
         let above = camera.project(&Point3::new(1.0, 1.0, 2.0)).unwrap();
         assert!((above.z_m - 3.0).abs() < 1e-5 && (above.u - VGA.cx).abs() < 1e-2 && above.v < VGA.cy, "{above:?}");
     }

@@ -3,7 +3,7 @@
 //! The header, and files whose vertices hold lists or come after other elements, go through the `ply-rs-bw` parser. What
 //! scanners write, scalar vertices first, is read row by row here: it is faster, and ascii may hold `nan`.
 
-use crate::geometry::Point3;
+use crate::geometry::{MAX_COORDINATE_M, Point3};
 use crate::ingest::IngestError;
 use crate::scene::PointCloud;
 use camino::Utf8Path;
@@ -11,10 +11,6 @@ use ply_rs_bw::parser::{Parser, Reader};
 use ply_rs_bw::ply::{ElementDef, Encoding, Property, PropertyAccess, PropertyAccessResult, PropertyType, ScalarType};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
-
-/// Points further from the origin than this are refused, metres: single precision and voxel keys end there. Map coordinates
-/// (UTM) need an offset taken off first.
-pub const MAX_COORDINATE_M: f32 = 10_000.0;
 
 /// A cloud and how many of its points were dropped for coordinates that are not finite.
 #[derive(Debug)]
