@@ -107,12 +107,12 @@ fn grow(patches: &[Patch], edges: &[Edge], threshold: f32, hop_decay: f32, progr
         if region[seed as usize] != NONE {
             continue;
         }
-        progress.check()?;
         // Weighted affinity of each outsider to the region so far, and the sum of the weights.
         let mut bond: BTreeMap<u32, (f32, f32)> = BTreeMap::new();
         let mut queue = VecDeque::new();
         let mut newcomer = Some(seed);
         while let Some(member) = newcomer {
+            progress.check()?;
             region[member as usize] = regions;
             bond.remove(&member);
             for &(other, hop, affinity) in &neighbours[member as usize] {
