@@ -136,3 +136,17 @@ fn with_fit(scene: SceneView, carrier: usize, things: &[(usize, f32)], with: &Wi
     let carried = 0.1 + 0.9 * carried;
     if with.absent { 1.1 - carried } else { carried }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_best_few_are_looked_at() {
+        // The work on a question over thousands of instances is bounded by this.
+        assert_eq!(most_plausible(&[0.5, 0.1, 0.9, 0.0, 0.8], usize::MAX), [(0, 0.5), (2, 0.9), (4, 0.8)]);
+        assert_eq!(most_plausible(&[0.5, 0.1, 0.9, 0.0, 0.8], 2), [(2, 0.9), (4, 0.8)]);
+        assert_eq!(most_plausible(&[0.7; 100], 3), [(0, 0.7), (1, 0.7), (2, 0.7)]);
+        assert_eq!(most_plausible(&[0.0, 0.0], 3), []);
+    }
+}

@@ -32,7 +32,7 @@ pub struct ImportReport {
     /// Camera axes of the files: `opencv` or `opengl`.
     pub camera_axes: String,
     pub frames: u32,
-    /// Frames left out because their pose is not finite.
+    /// Frames left out because the tracker marked their pose as lost (infinite).
     pub frames_skipped: u32,
     /// Points in the archive's own cloud; `null` when the cloud is fused from the frames.
     pub cloud_points: Option<u64>,

@@ -101,7 +101,7 @@ pub struct Models {
 
 /// The frame all coordinates are in.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-pub struct Frame {
+pub struct CoordinateFrame {
     #[schema(example = "z")]
     pub up: String,
     #[schema(example = "m")]
@@ -154,7 +154,7 @@ pub struct Answer {
     pub parsed_query: ParsedQuerySummary,
     pub models: Models,
     pub direction_convention: String,
-    pub frame: Frame,
+    pub frame: CoordinateFrame,
     /// Paths of the pictures that go with the answer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub evidence: Option<Vec<String>>,
@@ -355,7 +355,7 @@ fn dress(grounding: Grounding, scene_id: String, parse_version: u32, models: Mod
         parsed_query,
         models,
         direction_convention,
-        frame: Frame { up: "z".into(), units: "m".into() },
+        frame: CoordinateFrame { up: "z".into(), units: "m".into() },
         trace: Some(Trace::default()),
         usage: Usage::default(),
         timings_ms,

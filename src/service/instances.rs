@@ -120,11 +120,7 @@ impl Service {
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
     pub async fn instance(&self, scene_id: &str, id: InstanceId) -> Result<InstanceView, Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let instance = self.store.instance(&parse_id, id).await?;
-        instance
-            .map(InstanceView::from)
-            .ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })
+        Ok(self.stored_instance(scene_id, id).await?.1.into())
     }
 
     /// Path of an evidence picture.
@@ -132,12 +128,7 @@ impl Service {
     /// # Errors
     /// [`Error::ViewNotFound`] and those of [`instance`](Self::instance).
     pub async fn view_picture(&self, scene_id: &str, id: InstanceId, view: u32, picture: ViewPicture) -> Result<Utf8PathBuf, Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let instance = self
-            .store
-            .instance(&parse_id, id)
-            .await?
-            .ok_or_else(|| Error::InstanceNotFound { scene_id: scene_id.into(), id })?;
+        let (parse_id, instance) = self.stored_instance(scene_id, id).await?;
         let views = instance.views.len();
         if view as usize >= views {
             return Err(Error::ViewNotFound { id, view, views });
@@ -147,5 +138,14 @@ impl Service {
             ViewPicture::Crop => Picture::Crop,
         };
         Ok(self.store.blobs.parse(&parse_id).join("views").join(view_file(id.0, view as usize, picture)))
+    }
+
+    /// An instance of a scene's current parse, and the parse's id.
+    async fn stored_instance(&self, scene_id: &str, id: InstanceId) -> Result<(String, Instance), Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        match self.store.instance(&parse_id, id).await? {
+            Some(instance) => Ok((parse_id, instance)),
+            None => Err(Error::InstanceNotFound { scene_id: scene_id.into(), id }),
+        }
     }
 }

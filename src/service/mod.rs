@@ -9,7 +9,7 @@ mod scenes;
 mod uploads;
 
 pub use answering::{
-    Ablation, Answer, Call, Frame, GroundRequest, Include, Models, ReasonerChoice, ShortlistRequest, Shortlisted, Trace, Usage,
+    Ablation, Answer, Call, CoordinateFrame, GroundRequest, Include, Models, ReasonerChoice, ShortlistRequest, Shortlisted, Trace, Usage,
 };
 pub use instances::{InstanceList, InstanceView, ViewPicture};
 pub use parsing::{PARSE_JOB, ParseModels, ParsePreset, ParseSettings};

@@ -34,12 +34,6 @@ struct Received {
     bytes: u64,
 }
 
-/// An unpacked archive that has passed the importer's checks.
-struct Unpacked {
-    folder: Scratch,
-    name: Option<String>,
-}
-
 /// Chunks that may wait for the disk.
 const CHUNKS_AHEAD: usize = 8;
 const MAX_NAME_CHARS: usize = 200;
@@ -81,13 +75,15 @@ impl Service {
             unpacked = Some(self.unpack(received.clone(), kind).await?);
             references = self.content_references.lock().await;
         }
-        let mut archive_name = None;
-        if let Some(Unpacked { folder, name }) = unpacked {
-            self.store.blobs.publish(folder, &self.store.blobs.content(&received.hash))?;
+        let content = self.store.blobs.content(&received.hash);
+        if let Some(folder) = unpacked {
+            self.store.blobs.publish(folder, &content)?;
             self.store.insert_content(&received.hash, received.bytes).await?;
-            archive_name = name;
         }
-        let name = name.or(archive_name).unwrap_or_else(|| "scene".into());
+        let name = match name {
+            Some(name) => name,
+            None => spawn_blocking(move || archive_name(&content)).await??,
+        };
         let (row, new) = self.store.insert_scene(&name, &received.hash, idempotency_key.as_deref()).await?;
         drop(references);
         match parse {
@@ -146,17 +142,24 @@ impl Service {
         }
     }
 
-    async fn unpack(&self, received: Arc<Received>, kind: ArchiveKind) -> Result<Unpacked, Error> {
+    /// Unpacks an archive and puts it through the importer's checks.
+    async fn unpack(&self, received: Arc<Received>, kind: ArchiveKind) -> Result<Scratch, Error> {
         let (folder, limits) = (self.store.blobs.scratch()?, self.limits.unpack);
         spawn_blocking(move || {
             let archive =
                 Utf8Path::from_path(received.file.path()).ok_or_else(|| std::io::Error::other("the data folder's path is not UTF-8"))?;
             unpack(archive, kind, folder.path(), &limits)?;
-            let name = ingest::open(folder.path())?.name.filter(|name| check_name("/name", name).is_ok());
-            Ok(Unpacked { folder, name })
+            ingest::open(folder.path())?;
+            Ok(folder)
         })
         .await?
     }
+}
+
+/// What an archive calls itself, where that is a name.
+fn archive_name(content: &Utf8Path) -> Result<String, Error> {
+    let name = ingest::open(content)?.name.filter(|name| check_name("/name", name).is_ok());
+    Ok(name.unwrap_or_else(|| "scene".into()))
 }
 
 /// A scene's name is one line of text.

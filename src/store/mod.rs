@@ -89,8 +89,15 @@ impl Store {
         self.writer.close().await;
     }
 
-    /// Removes blobs no row speaks of: what a crash between writing a blob and its row left behind.
+    /// Removes content no scene refers to (the loser of two uploads under one key) and blobs no row speaks of (what a crash
+    /// between writing a blob and its row left behind).
     async fn sweep(&self) -> Result<(), StoreError> {
+        for unused in [
+            "DELETE FROM parses WHERE content_hash NOT IN (SELECT content_hash FROM scenes)",
+            "DELETE FROM contents WHERE hash NOT IN (SELECT content_hash FROM scenes)",
+        ] {
+            sqlx::query(unused).execute(&self.writer).await?;
+        }
         let contents: Vec<String> = sqlx::query_scalar("SELECT hash FROM contents").fetch_all(&self.reader).await?;
         let parses: Vec<String> = sqlx::query_scalar("SELECT id FROM parses").fetch_all(&self.reader).await?;
         Ok(self.blobs.keep_only(&contents, &parses)?)

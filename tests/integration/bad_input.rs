@@ -253,7 +253,7 @@ async fn what_shows_only_while_parsing_fails_the_job_by_name() {
 }
 
 #[tokio::test]
-async fn lost_poses_and_lone_frames_are_accepted_with_a_warning() {
+async fn lost_poses_are_skipped_with_a_warning() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::frames_only().with("pose/3.txt", "-inf ".repeat(16)).zip()).await;
     let import = scene.import.unwrap();

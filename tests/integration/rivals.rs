@@ -1,7 +1,7 @@
 //! Things that happen at the same time, or in an awkward order.
 
 use crate::archives::Scan;
-use crate::server::{Process, TestServer, ask, command, finished, problem};
+use crate::server::{Process, TestServer, command, finished, problem};
 use camino::Utf8Path;
 use futures::future::join_all;
 use reqwest::Method;
@@ -89,25 +89,5 @@ async fn deleting_a_scene_stops_its_jobs() {
         assert!(matches!(job.state, JobState::Cancelled | JobState::Succeeded), "{job:?}");
     }
     assert_eq!((server.stored("blobs/contents").len(), server.stored("blobs/parses").len()), (0, 0));
-    server.stop().await;
-}
-
-/// Twenty thousand crumbs and a question over pairs of them: seconds would be too long.
-#[tokio::test]
-async fn a_question_over_thousands_of_instances_stays_quick() {
-    let server = TestServer::start().await;
-    let rows: Vec<u8> = (0..8000_u32)
-        .flat_map(|i| {
-            // A lattice of lone points, ten metres apart.
-            let at = [i % 20, i / 20 % 20, i / 400].map(|c| c as f32 * 10.0);
-            at.iter().flat_map(|c| c.to_le_bytes()).chain([200, 30, 30]).collect::<Vec<u8>>()
-        })
-        .collect();
-    let cloud = [crate::archives::ply_header(8000), rows].concat();
-    let scene = server.parsed(Scan::cloud_only().with("cloud.ply", cloud).zip()).await;
-    assert!(scene.counts.unwrap().instances > 5000);
-    let answer = server.client.ground(&scene.id, &ask("the thing between the thing and the thing")).await.unwrap();
-    println!("a question over {} instances took {:.0} ms", scene.report.unwrap().instances, answer.timings_ms.total);
-    assert!(answer.timings_ms.total < 2000.0, "{} ms", answer.timings_ms.total);
     server.stop().await;
 }

@@ -136,6 +136,9 @@ async fn the_same_content_and_settings_are_parsed_once() {
         (SceneStatus::Ready, JobState::Succeeded, true)
     );
     assert_eq!(again.scene.content_hash, first.content_hash);
+    let unnamed = server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap().scene;
+    assert_eq!(unnamed.name, "test room");
+    server.client.delete_scene(&unnamed.id).await.unwrap();
     assert_eq!((server.stored("blobs/contents").len(), server.stored("blobs/parses").len()), (1, 1));
 
     let other = server

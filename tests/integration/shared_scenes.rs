@@ -32,10 +32,10 @@ fn truth(folder: &Utf8Path, room: &str) -> Vec<Aabb> {
         .collect()
 }
 
-/// Floors well under what is measured (see benches/README.md): they catch a broken step, not a slightly worse one.
+/// Floors a little under what is measured (see benches/README.md).
 #[tokio::test]
 async fn instances_cover_the_annotated_objects() {
-    for (room, floor_25, floor_50) in [("room1", 0.68, 0.50), ("room2", 0.62, 0.32)] {
+    for (room, floor_25, floor_50) in [("room1", 0.75, 0.65), ("room2", 0.74, 0.45)] {
         let Some(folder) = shared_scene(&format!("{room}.zip")) else { return };
         let server = TestServer::start().await;
         let scene = server.parsed(fs::read(folder.join(format!("{room}.zip"))).unwrap()).await;
@@ -51,7 +51,7 @@ async fn instances_cover_the_annotated_objects() {
             best.len()
         );
         assert!(recall(0.25) >= floor_25 && recall(0.5) >= floor_50, "{room}: {:.3} / {:.3}", recall(0.25), recall(0.5));
-        assert!(instances.iter().any(|i| i.structure == Some(Structure::Floor)) || room == "room2", "no floor in {room}");
+        assert!(instances.iter().any(|i| i.structure == Some(Structure::Floor)), "no floor in {room}");
         server.stop().await;
     }
 }

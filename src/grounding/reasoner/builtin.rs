@@ -132,7 +132,7 @@ fn bonds(scene: SceneView, relation: &Relation, fits: &[f32], directions: &Direc
             .iter()
             .map(|i| free(relations::score(relation.kind, &i.aabb, &[], directions, room)))
             .collect(),
-        // "near" what? The words are listed; the relation can not be used.
+        // "near" what? The parsed query tells the relation; the decision leaves it out.
         (_, []) => vec![free(1.0); scene.instances.len()],
         (RelationKind::Closest | RelationKind::Farthest, [first, ..]) => ranked_by_distance(scene, relation.kind, fits, first),
         (RelationKind::Between, [a, b, ..]) => (0..fits.len()).map(|t| between_pair(scene, t, a, b, directions, room)).collect(),

@@ -16,7 +16,8 @@ struct Region {
     pixels: f32,
     area_m2: f32,
     lab: Lab,
-    mean: Vector3<f32>,
+    /// Sum of the points' positions, camera axes, metres.
+    position_sum: Vector3<f32>,
     /// Second moments of the points about the origin.
     moments: Matrix3<f32>,
     /// Generation, so that stale queue entries can be told.
@@ -113,7 +114,7 @@ const SAME_PLANE_DEG: f32 = 8.0;
 impl Region {
     /// Points stay as close to their plane as sensor noise, which grows with distance squared, lets them.
     fn is_flat(&self) -> bool {
-        let mean = self.mean / self.pixels;
+        let mean = self.position_sum / self.pixels;
         let covariance = self.moments / self.pixels - mean * mean.transpose();
         let eigen = SymmetricEigen::new(covariance).eigenvalues;
         eigen.min().max(0.0).sqrt() < 0.01 + 0.004 * mean.z * mean.z
@@ -126,14 +127,15 @@ fn merged(a: &Region, b: &Region) -> Region {
         pixels,
         area_m2: a.area_m2 + b.area_m2,
         lab: (a.lab * a.pixels + b.lab * b.pixels) / pixels,
-        mean: a.mean + b.mean,
+        position_sum: a.position_sum + b.position_sum,
         moments: a.moments + b.moments,
         version: a.version.max(b.version) + 1,
     }
 }
 
 fn regions(surfaces: &Surfaces, patches: &[u32], count: usize) -> Vec<Region> {
-    let empty = Region { pixels: 0.0, area_m2: 0.0, lab: Lab::zeros(), mean: Vector3::zeros(), moments: Matrix3::zeros(), version: 0 };
+    let empty =
+        Region { pixels: 0.0, area_m2: 0.0, lab: Lab::zeros(), position_sum: Vector3::zeros(), moments: Matrix3::zeros(), version: 0 };
     let mut regions = vec![empty; count];
     for (i, &patch) in patches.iter().enumerate() {
         let region = &mut regions[patch as usize];
@@ -143,7 +145,7 @@ fn regions(surfaces: &Surfaces, patches: &[u32], count: usize) -> Vec<Region> {
         region.pixels += 1.0;
         region.area_m2 += (surfaces.spacing_per_m * surfaces.depth_m[i]).powi(2) / facing;
         region.lab += surfaces.labs[i];
-        region.mean += p;
+        region.position_sum += p;
         region.moments += p * p.transpose();
     }
     regions.iter_mut().for_each(|r| r.lab /= r.pixels);
