@@ -4,6 +4,7 @@ pub mod cli;
 pub mod client;
 pub mod config;
 pub mod error;
+pub mod evaluation;
 pub mod geometry;
 pub mod grounding;
 pub mod http;

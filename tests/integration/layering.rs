@@ -9,7 +9,7 @@ const FLOORS: &[&[&str]] = &[
     &["cli"],
     &["app", "client"],
     &["config", "telemetry"],
-    &["http"],
+    &["http", "evaluation"],
     &["service"],
     &["error"],
     &["jobs"],

@@ -96,65 +96,53 @@ impl VoxelCloud {
         sets.into_labels().0
     }
 
-    /// Pairs `(low, high)` of labels that touch, sorted.
-    ///
-    /// A label that touches nothing is tied to its nearest labels within [`BRIDGE_RINGS`] voxels: holes in a scan must not
-    /// cut an object off.
+    /// Pairs `(low, high)` of labels that are neighbours, sorted: among the voxels nearest to one of the first lies one of the
+    /// second. Nearest are the 26 around, and in sparse places (thin legs, gaps in the scan) wider rings until
+    /// [`NEAREST`] are found: a hole in a scan must not cut an object in two.
     pub fn adjacent_labels(&self, labels: &[u32]) -> Vec<(u32, u32)> {
-        let touching = |v: usize| {
-            let own = labels[v];
-            self.neighbours(v as u32)
-                .iter()
-                .map(move |&n| (own.min(labels[n as usize]), own.max(labels[n as usize])))
-                .filter(|(a, b)| a != b)
-        };
-        let mut pairs: Vec<_> = (0..self.len()).into_par_iter().flat_map_iter(touching).collect();
-        let count = labels.iter().max().map_or(0, |&l| l as usize + 1);
-        let mut isolated = vec![true; count];
-        for &(a, b) in &pairs {
-            isolated[a as usize] = false;
-            isolated[b as usize] = false;
-        }
-        for (v, &own) in labels.iter().enumerate() {
-            if isolated[own as usize] {
-                pairs.extend(self.labels_near(v, labels).into_iter().map(|l| (own.min(l), own.max(l))));
-            }
-        }
+        let own_first = |own: u32, other: u32| (own.min(other), own.max(other));
+        let mut pairs: Vec<_> = (0..self.len())
+            .into_par_iter()
+            .flat_map_iter(|v| {
+                let around = self.neighbours(v as u32);
+                let beyond = self.rings_beyond(v, around.len());
+                around.iter().copied().chain(beyond).map(move |n| own_first(labels[v], labels[n as usize])).filter(|(a, b)| a != b)
+            })
+            .collect();
         pairs.par_sort_unstable();
         pairs.dedup();
         pairs
     }
 
-    /// Other labels in the nearest ring of voxels that holds any.
-    fn labels_near(&self, v: usize, labels: &[u32]) -> Vec<u32> {
-        let key = self.grid.keys[v];
-        for ring in 2..=BRIDGE_RINGS {
-            let mut found: Vec<u32> = Vec::new();
-            let span = -ring..=ring;
-            for x in span.clone() {
-                for y in span.clone() {
-                    for z in span.clone() {
-                        if x.abs().max(y.abs()).max(z.abs()) == ring
-                            && let Some(n) = self.grid.get(key.offset([x, y, z]))
-                            && labels[n as usize] != labels[v]
-                        {
-                            found.push(labels[n as usize]);
-                        }
-                    }
-                }
+    /// Voxels of the rings from the second on, ring by ring until there are [`NEAREST`] of them together with `found` nearer ones.
+    fn rings_beyond(&self, v: usize, mut found: usize) -> Vec<u32> {
+        let mut voxels = Vec::new();
+        for ring in 2..=WIDEST_RING {
+            if found >= NEAREST {
+                break;
             }
-            if !found.is_empty() {
-                found.sort_unstable();
-                found.dedup();
-                return found;
-            }
+            let before = voxels.len();
+            let shell = shell(ring).filter_map(|d| self.grid.get(self.grid.keys[v].offset(d)));
+            voxels.extend(shell);
+            found += voxels.len() - before;
         }
-        Vec::new()
+        voxels
     }
 }
 
-/// How many voxels a gap may be wide for an isolated patch to be tied across it.
-const BRIDGE_RINGS: i64 = 4;
+/// How many neighbours a voxel has at least, as far as [`WIDEST_RING`] reaches (METHOD: 8).
+const NEAREST: usize = 8;
+/// How many voxels away a neighbour may be.
+const WIDEST_RING: i64 = 4;
+
+/// Offsets whose largest component is `ring`.
+fn shell(ring: i64) -> impl Iterator<Item = [i64; 3]> {
+    let span = -ring..=ring;
+    span.clone()
+        .flat_map(move |x| (-ring..=ring).map(move |y| (x, y)))
+        .flat_map(move |(x, y)| (-ring..=ring).map(move |z| [x, y, z]))
+        .filter(move |d| d.iter().any(|c| c.abs() == ring))
+}
 
 fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<Moments>, Vec<Lab>) {
     let mut moments = vec![Moments::default(); grid.len()];

@@ -1,0 +1,199 @@
+//! Annotated rooms: an archive `<room>.zip`, its objects in `<room>.scene.json` and, where given, the object of each point
+//! of its cloud in `<room>.cloud_instance.npy`.
+
+use super::segmentation::AnnotatedObject;
+use crate::geometry::boxes::Aabb;
+use crate::geometry::voxels::{VoxelKey, VoxelMap};
+use crate::geometry::{Point3, Vector3};
+use crate::scene::{Frame, PointCloud};
+use crate::scene_parsing::masks::{IdImage, MaskSource};
+use anyhow::{Context, ensure};
+use camino::Utf8Path;
+use serde::Deserialize;
+use std::fs;
+use std::sync::Arc;
+
+/// Ids up to this are floor, ceiling and walls.
+const LAST_STRUCTURAL_ID: u32 = 6;
+
+/// What is known of a room.
+#[derive(Debug, Clone)]
+pub struct Annotations {
+    objects: Vec<SceneObject>,
+    /// Object of each point of the room's own cloud.
+    of_point: Option<Vec<u32>>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+struct SceneObject {
+    id: u32,
+    name: String,
+    min: [f32; 3],
+    max: [f32; 3],
+    cloud_points: u32,
+    obb: Option<SceneBox>,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+struct SceneBox {
+    center: [f32; 3],
+    size: [f32; 3],
+    yaw_deg: f32,
+}
+
+#[derive(Deserialize)]
+struct SceneFile {
+    objects: Vec<SceneObject>,
+}
+
+impl Annotations {
+    /// Reads the annotations of `room` in `folder`.
+    ///
+    /// # Errors
+    /// Unreadable or malformed files, named.
+    pub fn read(folder: &Utf8Path, room: &str) -> anyhow::Result<Self> {
+        let file = folder.join(format!("{room}.scene.json"));
+        let text = fs::read_to_string(&file).with_context(|| file.to_string())?;
+        let SceneFile { objects } = serde_json::from_str(&text).with_context(|| file.to_string())?;
+        let file = folder.join(format!("{room}.cloud_instance.npy"));
+        let of_point = if file.exists() { Some(read_npy(&file).with_context(|| file.to_string())?) } else { None };
+        Ok(Self { objects, of_point })
+    }
+
+    /// Movable things with at least `min_points` points.
+    #[must_use]
+    pub fn objects(&self, min_points: u32) -> Vec<AnnotatedObject> {
+        let movable = self.objects.iter().filter(|o| o.id > LAST_STRUCTURAL_ID && o.cloud_points >= min_points);
+        movable
+            .map(|o| AnnotatedObject { id: o.id, name: o.name.clone(), aabb: o.aabb(), points: o.cloud_points })
+            .collect()
+    }
+
+    /// The annotated id of each point of a cloud: as annotated when it is the room's own, else by the annotated boxes.
+    #[must_use]
+    pub fn label(&self, cloud: &PointCloud) -> Vec<u32> {
+        match &self.of_point {
+            Some(of_point) if of_point.len() == cloud.len() => of_point.clone(),
+            _ => cloud.positions.iter().map(|p| self.at(p, 0.02)).collect(),
+        }
+    }
+
+    /// The object at a place that was measured with an error of about `noise_m`; 0 when no box is near.
+    ///
+    /// Of all boxes that hold the place the smallest wins: a cup in a shelf is no shelf. What lies on a floor or wall belongs to
+    /// it, unless the box is a flat one that lies there too (rugs, pictures) or is let into it (windows, doors).
+    fn at(&self, p: &Point3<f32>, noise_m: f32) -> u32 {
+        let holding = |slack: f32| self.objects.iter().filter(move |o| o.distance(p) <= slack);
+        let smallest = holding(noise_m).min_by(|a, b| a.volume().total_cmp(&b.volume()));
+        let structural = holding(noise_m).find(|o| o.id <= LAST_STRUCTURAL_ID);
+        match (smallest, structural) {
+            (Some(object), Some(structure)) => {
+                if object.is_part_of(structure) { object.id } else { structure.id }
+            }
+            (Some(object), None) => object.id,
+            (None, _) => 0,
+        }
+    }
+
+    /// These annotations as a source of 2D masks, for a scan with this cloud.
+    #[must_use]
+    pub fn masks(&self, cloud: &PointCloud) -> AnnotatedMasks {
+        let mut near: VoxelMap<Vec<(Point3<f32>, u32)>> = VoxelMap::default();
+        if let Some(of_point) = self.of_point.as_ref().filter(|ids| ids.len() == cloud.len()) {
+            for (p, &id) in cloud.positions.iter().zip(of_point) {
+                near.entry(VoxelKey::of(p, NEAR_M)).or_default().push((*p, id));
+            }
+        }
+        AnnotatedMasks { annotations: Arc::new(self.clone()), near: Arc::new(near) }
+    }
+}
+
+impl SceneObject {
+    fn aabb(&self) -> Aabb {
+        Aabb::from_corners(Point3::from(self.min), Point3::from(self.max))
+    }
+
+    fn size(&self) -> Vector3<f32> {
+        self.obb.as_ref().map_or_else(|| self.aabb().size, |b| Vector3::from(b.size))
+    }
+
+    fn volume(&self) -> f32 {
+        self.size().product()
+    }
+
+    /// Whether this lies flat on a slab of the building, or is let into it.
+    fn is_part_of(&self, slab: &Self) -> bool {
+        const FLAT_M: f32 = 0.1;
+        const LET_IN_M: f32 = 0.02;
+        let normal = slab.size().imin();
+        self.aabb().size[normal] < FLAT_M || -self.aabb().gap_per_axis(&slab.aabb())[normal] >= LET_IN_M
+    }
+
+    /// Distance of a point to the (oriented) box, metres; 0 inside.
+    fn distance(&self, p: &Point3<f32>) -> f32 {
+        let aabb = self.aabb();
+        let (center, yaw) = self.obb.as_ref().map_or((aabb.center, 0.0), |b| (Point3::from(b.center), b.yaw_deg.to_radians()));
+        let d = p - center;
+        let (sin, cos) = yaw.sin_cos();
+        let turned = Vector3::new(cos * d.x + sin * d.y, cos * d.y - sin * d.x, d.z);
+        (turned.abs() - self.size() / 2.0).map(|v| v.max(0.0)).norm()
+    }
+}
+
+/// Points this near lend their annotation to a pixel, metres.
+const NEAR_M: f32 = 0.03;
+
+/// Annotated 2D masks: each depth pixel takes the object of the nearest annotated point, or of the boxes where only those
+/// are known. Isolates grouping and boxes from masks.
+#[derive(Clone)]
+pub struct AnnotatedMasks {
+    annotations: Arc<Annotations>,
+    near: Arc<VoxelMap<Vec<(Point3<f32>, u32)>>>,
+}
+
+impl AnnotatedMasks {
+    fn at(&self, p: &Point3<f32>, z_m: f32) -> u32 {
+        if self.near.is_empty() {
+            return self.annotations.at(p, 0.01 + 0.003 * z_m * z_m);
+        }
+        let center = VoxelKey::of(p, NEAR_M);
+        let mut best = (NEAR_M * NEAR_M, 0);
+        for d in 0..27 {
+            let key = center.offset([d / 9 - 1, d / 3 % 3 - 1, d % 3 - 1]);
+            for (q, id) in self.near.get(&key).into_iter().flatten() {
+                let distance = (q - p).norm_squared();
+                if distance < best.0 {
+                    best = (distance, *id);
+                }
+            }
+        }
+        best.1
+    }
+}
+
+impl MaskSource for AnnotatedMasks {
+    fn name(&self) -> &'static str {
+        "annotated"
+    }
+
+    fn masks(&self, frame: &Frame) -> IdImage {
+        let (width, height) = (frame.depth.width, frame.depth.height);
+        let camera_to_world = frame.depth_camera.world_to_camera().inverse();
+        let intrinsics = frame.depth_camera.intrinsics;
+        let at = |u: u32, v: u32| match frame.depth.at((u, v)) {
+            0.0 => 0,
+            z_m => self.at(&(camera_to_world * intrinsics.unproject(u as f32, v as f32, z_m)), z_m) as u16,
+        };
+        IdImage { width, height, ids: (0..height).flat_map(|v| (0..width).map(move |u| (u, v))).map(|(u, v)| at(u, v)).collect() }
+    }
+}
+
+/// A one-dimensional array of little-endian `u16` in numpy's format, which is all the annotations use.
+fn read_npy(file: &Utf8Path) -> anyhow::Result<Vec<u32>> {
+    let bytes = fs::read(file)?;
+    ensure!(bytes.starts_with(b"\x93NUMPY\x01") && bytes.len() >= 10, "not an .npy file of version 1");
+    let data = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
+    let header = bytes.get(10..data).map(String::from_utf8_lossy).context("the header is cut off")?;
+    ensure!(header.contains("'<u2'"), "expected u16 values: {header}");
+    Ok(bytes[data..].chunks_exact(2).map(|b| u32::from(u16::from_le_bytes([b[0], b[1]]))).collect())
+}
