@@ -88,7 +88,11 @@ impl Annotations {
         let structural = holding(noise_m).find(|o| o.id <= LAST_STRUCTURAL_ID);
         match (smallest, structural) {
             (Some(object), Some(structure)) => {
-                if object.is_part_of(structure) { object.id } else { structure.id }
+                if object.is_part_of(structure) {
+                    object.id
+                } else {
+                    structure.id
+                }
             }
             (Some(object), None) => object.id,
             (None, _) => 0,

@@ -129,7 +129,13 @@ pub fn score_instances(scene: &ParsedScene, objects: &[AnnotatedObject], truth: 
         found[object] |= hit;
         hits.push(hit);
     }
-    InstanceScore { objects: objects.len(), instances: scene.instances.len(), box_iou, point_iou, ap50: average_precision(&hits, objects.len()) }
+    InstanceScore {
+        objects: objects.len(),
+        instances: scene.instances.len(),
+        box_iou,
+        point_iou,
+        ap50: average_precision(&hits, objects.len()),
+    }
 }
 
 /// Area under the precision-recall curve, precision made monotone from the right (Pascal VOC 2010 and later).

@@ -17,6 +17,7 @@ pub mod merging;
 mod settings;
 pub mod superpoints;
 pub mod views;
+pub mod wholes;
 
 use crate::geometry::boxes::Aabb;
 use crate::models::attributes;
@@ -77,10 +78,10 @@ pub fn parse(
         .map(|table| table.frame.to_string())
         .collect::<Vec<_>>();
 
-    let region_of = clock.time("merging", || merging::merge(&superpoints, tables, &settings.merging, &progress.part(0.75, 0.85)))?;
+    let region_of = clock.time("merging", || merging::merge(&superpoints, tables, &settings.merging, &progress.part(0.75, 0.83)))?;
+    let region_of = clock.time("wholes", || wholes::join(&cloud, &superpoints, region_of, &settings.wholes, &progress.part(0.83, 0.85)))?;
     let (mut instances, instance_of_point) = clock.time("instances", || {
-        let region_of_point: Vec<u32> = superpoints.of_point.iter().map(|&s| region_of[s as usize]).collect();
-        instances::build(&cloud, &region_of_point, &settings.instances, &progress.part(0.85, 0.88))
+        instances::build(&cloud, &superpoints, &region_of, &settings.instances, &progress.part(0.85, 0.88))
     })?;
 
     let viewing = progress.part(0.88, 1.0);

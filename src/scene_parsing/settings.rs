@@ -6,6 +6,7 @@ use super::masks::rgbd::RgbdSettings;
 use super::merging::MergeSettings;
 use super::superpoints::SuperpointSettings;
 use super::views::ViewSettings;
+use super::wholes::WholeSettings;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -20,6 +21,7 @@ pub struct ParsingSettings {
     /// A point fits the measured depth when `|z - d| <= this * d`. Paper: 0.15, which is loose; 0.05 measures better.
     pub depth_tolerance: f32,
     pub merging: MergeSettings,
+    pub wholes: WholeSettings,
     pub instances: InstanceSettings,
     pub views: ViewSettings,
 }
@@ -32,6 +34,7 @@ impl Default for ParsingSettings {
             rgbd_masks: RgbdSettings::default(),
             depth_tolerance: 0.05,
             merging: MergeSettings::default(),
+            wholes: WholeSettings::default(),
             instances: InstanceSettings::default(),
             views: ViewSettings::default(),
         }
@@ -55,11 +58,11 @@ impl ParsingSettings {
     /// # Errors
     /// The pointer and the expectation.
     pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
-        let Self { frame_sampling, superpoints, rgbd_masks, depth_tolerance, merging, instances, views } = self;
+        let Self { frame_sampling, superpoints, rgbd_masks, depth_tolerance, merging, wholes, instances, views } = self;
         let positive = |v: f32| v.is_finite() && v > 0.0;
         let share = |v: f32| (0.0..=1.0).contains(&v);
         let weight = |v: f32| v.is_finite() && v >= 0.0;
-        let rules: [(&str, bool, &str); 29] = [
+        let rules: [(&str, bool, &str); 36] = [
             ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
             ("/frame_sampling/max_frames", frame_sampling.max_frames != Some(0), "at least 1, or null"),
             ("/superpoints/voxel_m", (0.001..=10.0).contains(&superpoints.voxel_m), "0.001 to 10 metres"),
@@ -93,6 +96,13 @@ impl ParsingSettings {
             ("/merging/thresholds", merging.thresholds.len() <= 20, "at most 20 stages"),
             ("/merging/max_hop", (1..=4).contains(&merging.max_hop), "1 to 4"),
             ("/merging/hop_decay", share(merging.hop_decay) && merging.hop_decay > 0.0, "above 0, at most 1"),
+            ("/wholes/leg_thickness_m", weight(wholes.leg_thickness_m), "0 or more"),
+            ("/wholes/plate_thickness_m", weight(wholes.plate_thickness_m), "0 or more"),
+            ("/wholes/back_width", share(wholes.back_width) && wholes.back_width > 0.0, "above 0, at most 1"),
+            ("/wholes/longest_m", weight(wholes.longest_m), "0 or more"),
+            ("/instances/stray_share", (0.0..0.5).contains(&instances.stray_share), "0 to 0.5"),
+            ("/instances/thin_sigmas", weight(instances.thin_sigmas), "0 or more"),
+            ("/instances/noise_sigmas", weight(instances.noise_sigmas), "0 or more"),
             ("/instances/trim", (0.0..0.5).contains(&instances.trim), "0 to 0.5"),
             ("/instances/stray_voxel_m", (0.001..=10.0).contains(&instances.stray_voxel_m), "0.001 to 10 metres"),
             ("/views/min_share_of_best", share(views.min_share_of_best), "0 to 1"),

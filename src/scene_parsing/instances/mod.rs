@@ -6,9 +6,11 @@ mod support;
 
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::colour::ColourHistogram;
+use crate::geometry::statistics::median;
 use crate::geometry::{Matrix3, Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Instance, InstanceId, PointCloud};
+use crate::scene_parsing::superpoints::Superpoints;
 use nalgebra::SymmetricEigen;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -17,7 +19,13 @@ use utoipa::ToSchema;
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct InstanceSettings {
-    /// Share of the points cut off at either end of each axis for the robust bounds.
+    /// Share of the points at either end of each axis that bounds never rest on.
+    pub stray_share: f32,
+    /// An extent up to this many standard deviations of the sensor's noise is thin. The noise is measured on the scan itself.
+    pub thin_sigmas: f32,
+    /// Bounds of thin extents move inwards by this many standard deviations,
+    pub noise_sigmas: f32,
+    /// but leave at most this share of the points outside at either end of each axis.
     pub trim: f32,
     /// A point with fewer neighbours than this in its voxel and the 26 around is stray.
     pub stray_neighbours: u32,
@@ -27,11 +35,11 @@ pub struct InstanceSettings {
 
 impl Default for InstanceSettings {
     fn default() -> Self {
-        Self { trim: 0.001, stray_neighbours: 4, stray_voxel_m: 0.03 }
+        Self { stray_share: 0.001, thin_sigmas: 12.0, noise_sigmas: 1.5, trim: 0.02, stray_neighbours: 4, stray_voxel_m: 0.03 }
     }
 }
 
-/// Builds instances from the region of each point. Returns them in order of id and the instance of each point.
+/// Builds instances from the region of each superpoint. Returns them in order of id and the instance of each point.
 ///
 /// Ids count from 1 in falling order of points; ties by the region's first point.
 ///
@@ -39,14 +47,15 @@ impl Default for InstanceSettings {
 /// [`Cancelled`].
 pub fn build(
     cloud: &PointCloud,
-    region_of_point: &[u32],
+    superpoints: &Superpoints,
+    region_of: &[u32],
     settings: &InstanceSettings,
     progress: &Progress,
 ) -> Result<(Vec<Instance>, Vec<InstanceId>), Cancelled> {
-    let count = region_of_point.iter().max().map_or(0, |&r| r as usize + 1);
+    let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
     let mut members: Vec<Vec<u32>> = vec![Vec::new(); count];
-    for (i, &region) in region_of_point.iter().enumerate() {
-        members[region as usize].push(i as u32);
+    for (i, &superpoint) in superpoints.of_point.iter().enumerate() {
+        members[region_of[superpoint as usize] as usize].push(i as u32);
     }
     members.retain(|points| !points.is_empty());
     members.sort_by_key(|points| (std::cmp::Reverse(points.len()), points[0]));
@@ -54,9 +63,10 @@ pub fn build(
     for (i, points) in members.iter().enumerate() {
         points.iter().for_each(|&p| of_point[p as usize] = InstanceId(i as u32 + 1));
     }
+    let noise = Noise::of(superpoints);
     let shapes: Vec<Shape> = members
         .par_iter()
-        .map(|points| progress.check().map(|()| Shape::of(cloud, points, settings)))
+        .map(|points| progress.check().map(|()| Shape::of(cloud, points, noise.around(points), settings)))
         .collect::<Result<_, Cancelled>>()?;
     let room = structure::Room::of(&shapes);
     let structures: Vec<_> = shapes.iter().map(|shape| room.structure_of(shape)).collect();
@@ -85,6 +95,32 @@ pub fn build(
     Ok((instances, of_point))
 }
 
+/// How far points lie from the surfaces they were measured on.
+struct Noise<'a> {
+    superpoints: &'a Superpoints,
+    scene_m: f32,
+}
+
+impl<'a> Noise<'a> {
+    fn of(superpoints: &'a Superpoints) -> Self {
+        // Most of a room is even: what is rough at the median is rough by noise.
+        let mut all: Vec<f32> = superpoints.of_point.iter().map(|&s| superpoints.roughness_m[s as usize]).collect();
+        let scene_m = median(&mut all).unwrap_or(0.0);
+        Self { superpoints, scene_m }
+    }
+
+    /// Standard deviation around these points, metres. Far things are noisier than the scene at large; leaves of a plant are
+    /// rough without being noisy: hence the bound.
+    fn around(&self, points: &[u32]) -> f32 {
+        const FAR_FACTOR: f32 = 2.0;
+        let mut here: Vec<f32> = points
+            .iter()
+            .map(|&p| self.superpoints.roughness_m[self.superpoints.of_point[p as usize] as usize])
+            .collect();
+        median(&mut here).unwrap_or(0.0).min(FAR_FACTOR * self.scene_m)
+    }
+}
+
 /// What the points of one region look like, before they are compared with the others.
 struct Shape {
     point_count: u32,
@@ -98,11 +134,11 @@ struct Shape {
 }
 
 impl Shape {
-    fn of(cloud: &PointCloud, members: &[u32], settings: &InstanceSettings) -> Self {
+    fn of(cloud: &PointCloud, members: &[u32], noise_m: f32, settings: &InstanceSettings) -> Self {
         let positions: Vec<Point3<f32>> = members.iter().map(|&i| cloud.positions[i as usize]).collect();
         let colours = || members.iter().map(|&i| cloud.colours[i as usize]);
         let raw_box = Aabb::around(&positions).unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
-        let (aabb, oriented_box) = bounds::robust(&positions, settings);
+        let (aabb, oriented_box) = bounds::robust(&positions, noise_m, settings);
         let (normal, planarity) = plane(&positions);
         let n = members.len().max(1) as f32;
         let sum = colours().fold([0.0_f32; 3], |sum, c| std::array::from_fn(|i| sum[i] + f32::from(c[i])));

@@ -70,8 +70,10 @@ pub struct Superpoints {
     /// Superpoint of each point.
     pub of_point: Vec<u32>,
     pub patches: Vec<Patch>,
-    /// Pairs `(low, high)` whose voxels touch, sorted.
+    /// Pairs `(low, high)` of neighbours, sorted.
     pub adjacent: Vec<(u32, u32)>,
+    /// Root mean square distance of the points to their local plane, metres: sensor noise on even surfaces, at most that.
+    pub roughness_m: Vec<f32>,
 }
 
 /// Mean properties of a set of points: a voxel, a superpoint, a region.
@@ -127,7 +129,18 @@ pub fn compute(cloud: &PointCloud, settings: &SuperpointSettings, progress: &Pro
     let patches = Patch::joined(&voxels.patches, &labels, count);
     let adjacent = voxels.adjacent_labels(&labels);
     let of_point = voxels.grid.of_point.iter().map(|&v| labels[v as usize]).collect();
-    Ok(Superpoints { of_point, patches, adjacent })
+    let roughness_m = mean_per_label(&labels, &voxels.roughness_m, count);
+    Ok(Superpoints { of_point, patches, adjacent, roughness_m })
+}
+
+/// Mean of the values that share a label, for labels `0..count`.
+fn mean_per_label(labels: &[u32], values: &[f32], count: usize) -> Vec<f32> {
+    let mut sums = vec![(0.0_f32, 0.0_f32); count];
+    for (&label, &value) in labels.iter().zip(values) {
+        sums[label as usize].0 += value;
+        sums[label as usize].1 += 1.0;
+    }
+    sums.into_iter().map(|(sum, n)| sum / n.max(1.0)).collect()
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Region growing over supervoxels: flat neighbours of one colour become one superpoint (paper, after GrowSP).
 
 use super::voxel_cloud::VoxelCloud;
-use super::{Patch, SuperpointSettings};
+use super::{Patch, SuperpointSettings, mean_per_label};
 use std::collections::VecDeque;
 
 /// Joins supervoxels that continue each other; returns voxel labels `0..n`.
@@ -11,7 +11,7 @@ use std::collections::VecDeque;
 pub(super) fn join(voxels: &VoxelCloud, labels: Vec<u32>, settings: &SuperpointSettings) -> Vec<u32> {
     let count = labels.iter().max().map_or(0, |&l| l as usize + 1);
     let patches = Patch::joined(&voxels.patches, &labels, count);
-    let roughness = mean_curvature(voxels, &labels, count);
+    let roughness = mean_per_label(&labels, &voxels.curvatures, count);
     let mut neighbours = vec![Vec::new(); count];
     for (a, b) in voxels.adjacent_labels(&labels) {
         neighbours[a as usize].push(b);
@@ -49,13 +49,4 @@ pub(super) fn join(voxels: &VoxelCloud, labels: Vec<u32>, settings: &SuperpointS
         regions += 1;
     }
     labels.into_iter().map(|l| region[l as usize]).collect()
-}
-
-fn mean_curvature(voxels: &VoxelCloud, labels: &[u32], count: usize) -> Vec<f32> {
-    let mut sums = vec![(0.0_f32, 0.0_f32); count];
-    for (&label, &curvature) in labels.iter().zip(&voxels.curvatures) {
-        sums[label as usize].0 += curvature;
-        sums[label as usize].1 += 1.0;
-    }
-    sums.into_iter().map(|(sum, n)| sum / n.max(1.0)).collect()
 }

@@ -16,6 +16,8 @@ pub(super) struct VoxelCloud {
     pub patches: Vec<Patch>,
     /// Surface variation: smallest eigenvalue over their sum, 0 on a plane.
     pub curvatures: Vec<f32>,
+    /// Root mean square distance of the points around to their plane, metres.
+    pub roughness_m: Vec<f32>,
     neighbour_starts: Vec<u32>,
     neighbour_list: Vec<u32>,
 }
@@ -57,21 +59,22 @@ impl VoxelCloud {
             neighbour_starts.push(total);
         }
         let neighbour_list = lists.concat();
-        let surfaces: Vec<(Vector3<f32>, f32)> = (0..grid.len())
+        let surfaces: Vec<Surface> = (0..grid.len())
             .into_par_iter()
             .map(|v| {
                 let around = &neighbour_list[neighbour_starts[v] as usize..neighbour_starts[v + 1] as usize];
                 surface(&around.iter().fold(moments[v], |sum, &n| sum.joined(&moments[n as usize])))
             })
             .collect();
-        let curvatures = surfaces.iter().map(|(_, curvature)| *curvature).collect();
+        let curvatures = surfaces.iter().map(|s| s.curvature).collect();
+        let roughness_m = surfaces.iter().map(|s| s.roughness_m).collect();
         let patches = surfaces
             .iter()
             .zip(&moments)
             .zip(&labs)
-            .map(|((&(normal, _), m), &lab)| Patch { points: m.count as u32, center: Point3::from(m.mean), normal, lab })
+            .map(|((surface, m), &lab)| Patch { points: m.count as u32, center: Point3::from(m.mean), normal: surface.normal, lab })
             .collect();
-        Self { grid, patches, curvatures, neighbour_starts, neighbour_list }
+        Self { grid, patches, curvatures, roughness_m, neighbour_starts, neighbour_list }
     }
 
     pub fn len(&self) -> usize {
@@ -106,7 +109,12 @@ impl VoxelCloud {
             .flat_map_iter(|v| {
                 let around = self.neighbours(v as u32);
                 let beyond = self.rings_beyond(v, around.len());
-                around.iter().copied().chain(beyond).map(move |n| own_first(labels[v], labels[n as usize])).filter(|(a, b)| a != b)
+                around
+                    .iter()
+                    .copied()
+                    .chain(beyond)
+                    .map(move |n| own_first(labels[v], labels[n as usize]))
+                    .filter(|(a, b)| a != b)
             })
             .collect();
         pairs.par_sort_unstable();
@@ -163,12 +171,20 @@ fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<Moments>, Vec<Lab>) 
     (moments, labs)
 }
 
-fn surface(moments: &Moments) -> (Vector3<f32>, f32) {
+/// The plane through the points of a voxel and its neighbours.
+struct Surface {
+    normal: Vector3<f32>,
+    curvature: f32,
+    roughness_m: f32,
+}
+
+fn surface(moments: &Moments) -> Surface {
     let eigen = SymmetricEigen::new(moments.scatter / moments.count.max(1.0));
     let total = eigen.eigenvalues.sum();
     if total <= f32::EPSILON * f32::EPSILON {
-        return (Vector3::z(), 0.0);
+        return Surface { normal: Vector3::z(), curvature: 0.0, roughness_m: 0.0 };
     }
-    let least = eigen.eigenvalues.imin();
-    (eigen.eigenvectors.column(least).into_owned(), (eigen.eigenvalues[least] / total).max(0.0))
+    let axis = eigen.eigenvalues.imin();
+    let least = eigen.eigenvalues[axis].max(0.0);
+    Surface { normal: eigen.eigenvectors.column(axis).into_owned(), curvature: least / total, roughness_m: least.sqrt() }
 }

@@ -1,0 +1,202 @@
+//! Parts to wholes: what furniture is made of joins again.
+//!
+//! Masks cut a chair where its seat and back meet in a valley, and a table off its legs. Three things hold in any room and
+//! need no model: what is slender and carries something is a leg or a pole of it; a plate that stands on the rim of something
+//! as wide as itself is its back; what stands under something larger than itself, and under nothing else, is its foot.
+
+use super::superpoints::Superpoints;
+use crate::geometry::boxes::{Aabb, OrientedBox};
+use crate::geometry::statistics::quantile;
+use crate::geometry::union_find::UnionFind;
+use crate::geometry::{Matrix3, Point3, Vector3};
+use crate::progress::{Cancelled, Progress};
+use crate::scene::PointCloud;
+use nalgebra::SymmetricEigen;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use utoipa::ToSchema;
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct WholeSettings {
+    /// Whether parts are joined at all.
+    pub enabled: bool,
+    /// Legs and poles are no thicker than this, metres.
+    pub leg_thickness_m: f32,
+    /// A plate is no thicker than this, metres.
+    pub plate_thickness_m: f32,
+    /// A back is at least this share as wide as what it stands on, and at most the inverse.
+    pub back_width: f32,
+    /// Nothing longer than this is a part of furniture or is given parts, metres.
+    pub longest_m: f32,
+}
+
+impl Default for WholeSettings {
+    fn default() -> Self {
+        Self { enabled: true, leg_thickness_m: 0.08, plate_thickness_m: 0.15, back_width: 0.6, longest_m: 3.0 }
+    }
+}
+
+/// What is known of a region: a part, or a whole so far.
+#[derive(Debug, Clone)]
+struct Part {
+    points: f32,
+    aabb: Aabb,
+    footprint: OrientedBox,
+    /// Extents along the principal axes, falling, metres.
+    extents: [f32; 3],
+    /// Direction of the smallest extent.
+    normal: Vector3<f32>,
+}
+
+/// Height by which parts that touch may miss each other, metres.
+const CONTACT_M: f32 = 0.1;
+
+/// Joins regions that are parts of one thing; returns the region `0..n` of each superpoint.
+///
+/// # Errors
+/// [`Cancelled`].
+pub fn join(
+    cloud: &PointCloud,
+    superpoints: &Superpoints,
+    region_of: Vec<u32>,
+    settings: &WholeSettings,
+    progress: &Progress,
+) -> Result<Vec<u32>, Cancelled> {
+    if !settings.enabled {
+        return Ok(region_of);
+    }
+    let legs = |part: &Part, other: &Part| settings.is_leg(part) && carries(part, other);
+    let backs = |part: &Part, other: &Part| settings.is_back(part, other);
+    let feet = |part: &Part, other: &Part| is_foot(part, other);
+    let rules: [&(dyn Fn(&Part, &Part) -> bool + Sync); 3] = [&legs, &backs, &feet];
+    let mut region_of = region_of;
+    for rule in rules {
+        progress.check()?;
+        region_of = apply(cloud, superpoints, region_of, settings, rule);
+    }
+    Ok(region_of)
+}
+
+/// Every region joins the neighbour it shares most border with among those of which it is a part by `rule`.
+fn apply(
+    cloud: &PointCloud,
+    superpoints: &Superpoints,
+    region_of: Vec<u32>,
+    settings: &WholeSettings,
+    rule: &(dyn Fn(&Part, &Part) -> bool + Sync),
+) -> Vec<u32> {
+    let parts = parts(cloud, superpoints, &region_of);
+    let mut contacts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+    for &(a, b) in &superpoints.adjacent {
+        let (a, b) = (region_of[a as usize], region_of[b as usize]);
+        if a != b {
+            *contacts.entry((a, b)).or_default() += 1;
+            *contacts.entry((b, a)).or_default() += 1;
+        }
+    }
+    let furniture = |part: &Part| part.footprint.size.max() <= settings.longest_m;
+    let mut best: BTreeMap<u32, (u32, std::cmp::Reverse<u32>)> = BTreeMap::new();
+    for (&(a, b), &n) in &contacts {
+        let (part, whole) = (&parts[a as usize], &parts[b as usize]);
+        if furniture(part) && furniture(whole) && rule(part, whole) {
+            let offer = (n, std::cmp::Reverse(b));
+            let seat = best.entry(a).or_insert(offer);
+            *seat = (*seat).max(offer);
+        }
+    }
+    let mut sets = UnionFind::new(parts.len());
+    for (part, (_, std::cmp::Reverse(whole))) in best {
+        sets.union(part, whole);
+    }
+    let (labels, _) = sets.into_labels();
+    region_of.into_iter().map(|r| labels[r as usize]).collect()
+}
+
+impl WholeSettings {
+    fn is_leg(&self, part: &Part) -> bool {
+        const SLENDER: f32 = 3.0;
+        let [long, wide, _] = part.extents;
+        wide <= self.leg_thickness_m && long >= SLENDER * wide
+    }
+
+    /// Upright, thin, no taller than furniture, as wide as the other, and at its rim.
+    fn is_back(&self, part: &Part, seat: &Part) -> bool {
+        const TALLEST_M: f32 = 1.0;
+        /// How far from upright a plate may lean: 35 degrees.
+        const UPRIGHT: f32 = 0.57;
+        let stands_on = (part.aabb.min().z - seat.aabb.max().z).abs() <= 1.5 * CONTACT_M;
+        if part.extents[2] > self.plate_thickness_m || part.normal.z.abs() > UPRIGHT || part.aabb.size.z > TALLEST_M || !stands_on {
+            return false;
+        }
+        let Some(across) = part.normal.xy().try_normalize(1e-6) else { return false };
+        let along = nalgebra::Vector2::new(-across.y, across.x);
+        let width = |p: &Part, direction: &nalgebra::Vector2<f32>| p.width(direction);
+        let ratio = width(part, &along) / width(seat, &along).max(1e-3);
+        let offset = (part.aabb.center - seat.aabb.center).xy().dot(&across).abs();
+        (self.back_width..=1.0 / self.back_width).contains(&ratio) && offset >= 0.25 * width(seat, &across)
+    }
+}
+
+/// The other begins where this one ends.
+fn carries(part: &Part, other: &Part) -> bool {
+    other.aabb.center.z > part.aabb.center.z && (other.aabb.min().z - part.aabb.max().z).abs() <= 1.5 * CONTACT_M
+}
+
+/// Smaller, below, and not sticking out.
+fn is_foot(part: &Part, other: &Part) -> bool {
+    const UNDER: f32 = 0.8;
+    part.points < 0.5 * other.points
+        && part.aabb.size.z >= CONTACT_M
+        && part.aabb.center.z < other.aabb.min().z
+        && (other.aabb.min().z - part.aabb.max().z).abs() <= CONTACT_M
+        && part.aabb.footprint_overlap(&other.aabb) >= UNDER
+}
+
+impl Part {
+    fn of(positions: &[Point3<f32>]) -> Self {
+        /// Share of the points left out at either end: strays must not make a leg thick.
+        const TRIM: f32 = 0.02;
+        let n = positions.len().max(1) as f32;
+        let mean = positions.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / n;
+        let scatter = positions
+            .iter()
+            .fold(Matrix3::zeros(), |sum, p| sum + (p.coords - mean) * (p.coords - mean).transpose());
+        let axes = SymmetricEigen::new(scatter).eigenvectors;
+        let range = |of: &dyn Fn(&Point3<f32>) -> f32| {
+            let mut values: Vec<f32> = positions.iter().map(of).collect();
+            let (lo, hi) = (quantile(&mut values, TRIM).unwrap_or(0.0), quantile(&mut values, 1.0 - TRIM).unwrap_or(0.0));
+            (lo, hi)
+        };
+        let mut extents: [(f32, usize); 3] = std::array::from_fn(|i| {
+            let (lo, hi) = range(&|p| p.coords.dot(&axes.column(i)));
+            (hi - lo, i)
+        });
+        extents.sort_by(|a, b| b.0.total_cmp(&a.0));
+        let bounds: [(f32, f32); 3] = std::array::from_fn(|axis| range(&|p| p[axis]));
+        let aabb = Aabb::from_corners(Point3::from(bounds.map(|b| b.0)), Point3::from(bounds.map(|b| b.1)));
+        let ground: Vec<_> = positions.iter().map(Point3::xy).collect();
+        let flat = OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 };
+        let footprint = OrientedBox::min_area(&ground, bounds[2]).unwrap_or(flat);
+        Self { points: n, aabb, footprint, extents: extents.map(|e| e.0), normal: axes.column(extents[2].1).into_owned() }
+    }
+
+    /// Extent of the footprint along a horizontal direction, metres.
+    fn width(&self, direction: &nalgebra::Vector2<f32>) -> f32 {
+        let (sin, cos) = self.footprint.yaw_rad.sin_cos();
+        let (u, v) = (cos * direction.x + sin * direction.y, cos * direction.y - sin * direction.x);
+        // Of a rectangle along an oblique direction: the chord through its middle.
+        let (x, y) = (self.footprint.size.x, self.footprint.size.y);
+        (x / u.abs().max(1e-6)).min(y / v.abs().max(1e-6))
+    }
+}
+
+fn parts(cloud: &PointCloud, superpoints: &Superpoints, region_of: &[u32]) -> Vec<Part> {
+    let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
+    let mut members: Vec<Vec<Point3<f32>>> = vec![Vec::new(); count];
+    for (p, &superpoint) in cloud.positions.iter().zip(&superpoints.of_point) {
+        members[region_of[superpoint as usize] as usize].push(*p);
+    }
+    members.par_iter().map(|positions| Part::of(positions)).collect()
+}
