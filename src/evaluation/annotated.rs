@@ -5,10 +5,14 @@ use super::segmentation::AnnotatedObject;
 use crate::geometry::boxes::Aabb;
 use crate::geometry::voxels::{VoxelKey, VoxelMap};
 use crate::geometry::{Point3, Vector3};
-use crate::scene::{Frame, PointCloud};
+use crate::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use crate::ingest::{self, ImportSettings};
+use crate::progress::Progress;
+use crate::scene::{Frame, PointCloud, SceneBundle};
 use crate::scene_parsing::masks::{IdImage, MaskSource};
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
+use nalgebra::UnitQuaternion;
 use serde::Deserialize;
 use std::fs;
 use std::sync::Arc;
@@ -16,9 +20,76 @@ use std::sync::Arc;
 /// Ids up to this are floor, ceiling and walls.
 const LAST_STRUCTURAL_ID: u32 = 6;
 
+/// An annotated room, loaded.
+#[derive(Clone)]
+pub struct Room {
+    pub bundle: SceneBundle,
+    /// Annotated id of each point of the bundle's cloud; 0 = none.
+    pub truth: Vec<u32>,
+    annotations: Arc<Annotations>,
+    /// How the world was turned about Z since the annotations were made, degrees.
+    turned_deg: f32,
+}
+
+impl Room {
+    /// Loads `<name>.zip` and its annotations from `folder`; the archive is unpacked into `scratch`, which must outlive the room.
+    ///
+    /// # Errors
+    /// Unreadable or malformed files, named.
+    pub fn load(folder: &Utf8Path, name: &str, scratch: &Utf8Path) -> anyhow::Result<Self> {
+        let annotations = Annotations::read(folder, name)?;
+        unpack(&folder.join(format!("{name}.zip")), ArchiveKind::Zip, scratch, &UnpackLimits::default())?;
+        let bundle = ingest::load(&ingest::open(scratch)?, &ImportSettings::default(), &Progress::silent())?;
+        let truth = annotations.label(&bundle.cloud);
+        Ok(Self { bundle, truth, annotations: Arc::new(annotations), turned_deg: 0.0 })
+    }
+
+    /// Movable things with at least `min_points` annotated points. In a turned world their boxes are those of their points.
+    #[must_use]
+    pub fn objects(&self, min_points: u32) -> Vec<AnnotatedObject> {
+        let objects = self.annotations.objects(min_points);
+        if self.turned_deg == 0.0 {
+            return objects;
+        }
+        let around = |id: u32| Aabb::around(self.bundle.cloud.positions.iter().zip(&self.truth).filter(|(_, t)| **t == id).map(|(p, _)| p));
+        objects.into_iter().filter_map(|o| Some(AnnotatedObject { aabb: around(o.id)?, ..o })).collect()
+    }
+
+    /// The annotations as a source of 2D masks.
+    #[must_use]
+    pub fn masks(&self) -> AnnotatedMasks {
+        self.annotations.masks(&self.bundle.cloud)
+    }
+
+    /// The same room in a world turned about Z.
+    #[must_use]
+    pub fn turned(&self, deg: f32) -> Self {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), deg.to_radians());
+        let mut room = self.clone();
+        room.bundle.cloud.positions.iter_mut().for_each(|p| *p = turn * *p);
+        room.bundle.frames.iter_mut().for_each(|f| f.camera_to_world = turn * f.camera_to_world);
+        room.turned_deg += deg;
+        room
+    }
+
+    /// The same room with the points of its cloud in another order.
+    #[must_use]
+    pub fn shuffled(&self) -> Self {
+        let mut order: Vec<usize> = (0..self.truth.len()).collect();
+        // Any fixed order will do: by a hash of the index.
+        order.sort_by_key(|&i| (i as u64 + 1).wrapping_mul(0x9e37_79b9_7f4a_7c15));
+        let mut room = self.clone();
+        let cloud = &self.bundle.cloud;
+        room.bundle.cloud.positions = order.iter().map(|&i| cloud.positions[i]).collect();
+        room.bundle.cloud.colours = order.iter().map(|&i| cloud.colours[i]).collect();
+        room.truth = order.iter().map(|&i| self.truth[i]).collect();
+        room
+    }
+}
+
 /// What is known of a room.
 #[derive(Debug, Clone)]
-pub struct Annotations {
+struct Annotations {
     objects: Vec<SceneObject>,
     /// Object of each point of the room's own cloud.
     of_point: Option<Vec<u32>>,
@@ -47,11 +118,7 @@ struct SceneFile {
 }
 
 impl Annotations {
-    /// Reads the annotations of `room` in `folder`.
-    ///
-    /// # Errors
-    /// Unreadable or malformed files, named.
-    pub fn read(folder: &Utf8Path, room: &str) -> anyhow::Result<Self> {
+    fn read(folder: &Utf8Path, room: &str) -> anyhow::Result<Self> {
         let file = folder.join(format!("{room}.scene.json"));
         let text = fs::read_to_string(&file).with_context(|| file.to_string())?;
         let SceneFile { objects } = serde_json::from_str(&text).with_context(|| file.to_string())?;
@@ -60,9 +127,7 @@ impl Annotations {
         Ok(Self { objects, of_point })
     }
 
-    /// Movable things with at least `min_points` points.
-    #[must_use]
-    pub fn objects(&self, min_points: u32) -> Vec<AnnotatedObject> {
+    fn objects(&self, min_points: u32) -> Vec<AnnotatedObject> {
         let movable = self.objects.iter().filter(|o| o.id > LAST_STRUCTURAL_ID && o.cloud_points >= min_points);
         movable
             .map(|o| AnnotatedObject { id: o.id, name: o.name.clone(), aabb: o.aabb(), points: o.cloud_points })
@@ -70,8 +135,7 @@ impl Annotations {
     }
 
     /// The annotated id of each point of a cloud: as annotated when it is the room's own, else by the annotated boxes.
-    #[must_use]
-    pub fn label(&self, cloud: &PointCloud) -> Vec<u32> {
+    fn label(&self, cloud: &PointCloud) -> Vec<u32> {
         match &self.of_point {
             Some(of_point) if of_point.len() == cloud.len() => of_point.clone(),
             _ => cloud.positions.iter().map(|p| self.at(p, 0.02)).collect(),
@@ -99,9 +163,7 @@ impl Annotations {
         }
     }
 
-    /// These annotations as a source of 2D masks, for a scan with this cloud.
-    #[must_use]
-    pub fn masks(&self, cloud: &PointCloud) -> AnnotatedMasks {
+    fn masks(&self, cloud: &PointCloud) -> AnnotatedMasks {
         let mut near: VoxelMap<Vec<(Point3<f32>, u32)>> = VoxelMap::default();
         if let Some(of_point) = self.of_point.as_ref().filter(|ids| ids.len() == cloud.len()) {
             for (p, &id) in cloud.positions.iter().zip(of_point) {
