@@ -1,0 +1,106 @@
+//! Superpoints beside PCL's VCCS on the same cloud, alternating: `make bench-superpoints`, or
+//! `cargo bench --bench superpoints -- [--pcl PROGRAM] [FOLDER]` with the program built from `benches/peers/vccs.cpp`.
+//!
+//! Both are timed from points in memory to labels in memory. `room1` of `../shared/scenes`, or of the folder given.
+
+#![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
+
+use camino::{Utf8Path, Utf8PathBuf};
+use comfy_table::{Table, presets};
+use std::process::Command;
+use std::time::Instant;
+use uniground::evaluation::annotated::Room;
+use uniground::evaluation::segmentation::{SuperpointScore, score_superpoints};
+use uniground::geometry::statistics::median;
+use uniground::progress::Progress;
+use uniground::scene::PointCloud;
+use uniground::scene_parsing::superpoints::{self, SuperpointSettings};
+
+const RUNS: usize = 9;
+
+/// One thing to time: seconds and labels of one run.
+type Contestant<'a> = (String, Box<dyn Fn() -> (f32, Vec<u32>) + 'a>);
+
+fn main() {
+    let mut folder = Utf8PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes");
+    let mut pcl = None;
+    let mut args = std::env::args().skip(1).filter(|a| a != "--bench");
+    while let Some(arg) = args.next() {
+        match arg.as_str() {
+            "--pcl" => pcl = args.next(),
+            other => folder = other.into(),
+        }
+    }
+    let temporary = tempfile::tempdir().unwrap();
+    let scratch = Utf8Path::from_path(temporary.path()).unwrap();
+    let room = Room::load(&folder, "room1", scratch).unwrap();
+    let raw = scratch.join("cloud.f32");
+    std::fs::write(&raw, raw_floats(&room.bundle.cloud)).unwrap();
+
+    let ours = |settings: SuperpointSettings| {
+        let cloud = &room.bundle.cloud;
+        Box::new(move || {
+            let start = Instant::now();
+            let found = superpoints::compute(cloud, &settings, &Progress::silent()).unwrap();
+            (start.elapsed().as_secs_f32(), found.of_point)
+        })
+    };
+    let default = SuperpointSettings::default();
+    let mut contestants: Vec<Contestant> = vec![
+        ("uniground default".into(), ours(default)),
+        ("uniground .05/.2".into(), ours(SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..default })),
+    ];
+    if let Some(program) = &pcl {
+        for (voxel, seed) in [(".05", ".2"), (".02", ".2")] {
+            let (raw, labels) = (raw.clone(), scratch.join("labels.i32"));
+            contestants.push((format!("PCL {voxel}/{seed}"), Box::new(move || pcl_run(program, &raw, voxel, seed, &labels))));
+        }
+    }
+    let mut seconds = vec![Vec::new(); contestants.len()];
+    let mut scores: Vec<Option<SuperpointScore>> = vec![None; contestants.len()];
+    for _ in 0..RUNS {
+        for (i, (_, run)) in contestants.iter().enumerate() {
+            let (took, labels) = run();
+            seconds[i].push(took);
+            scores[i].get_or_insert_with(|| score_superpoints(&labels, &room.truth));
+        }
+    }
+    let medians: Vec<f32> = seconds.iter_mut().map(|s| median(s).unwrap()).collect();
+    let reference = contestants.iter().position(|(name, _)| name == "PCL .05/.2");
+    let mut table = Table::new();
+    table.load_preset(presets::ASCII_MARKDOWN);
+    table.set_header(["", "median ms", "of PCL .05/.2", "superpoints", "purity", "achievable mIoU"]);
+    for (i, (name, _)) in contestants.iter().enumerate() {
+        let score = scores[i].unwrap();
+        table.add_row([
+            name.clone(),
+            format!("{:.0}", medians[i] * 1000.0),
+            reference.map_or_else(|| "-".into(), |r| format!("{:.2}", medians[i] / medians[r])),
+            score.superpoints.to_string(),
+            format!("{:.3}", score.purity),
+            format!("{:.3}", score.achievable_iou),
+        ]);
+    }
+    println!("room1, {} points, {RUNS} runs each, alternating, {} threads\n{table}", room.truth.len(), rayon::current_num_threads());
+    if pcl.is_none() {
+        println!("PCL was left out: no --pcl PROGRAM given");
+    }
+}
+
+/// Rows of `x y z r g b` as the peer reads them.
+fn raw_floats(cloud: &PointCloud) -> Vec<u8> {
+    let rows = cloud.positions.iter().zip(&cloud.colours);
+    rows.flat_map(|(p, c)| [p.x, p.y, p.z, f32::from(c[0]), f32::from(c[1]), f32::from(c[2])])
+        .flat_map(f32::to_le_bytes)
+        .collect()
+}
+
+/// The peer times itself: `... extract 236 ms label-back 18 ms ...`.
+fn pcl_run(program: &str, raw: &Utf8Path, voxel: &str, seed: &str, labels: &Utf8Path) -> (f32, Vec<u32>) {
+    let output = Command::new(program).args([raw.as_str(), voxel, seed, labels.as_str()]).output().unwrap();
+    let text = String::from_utf8(output.stdout).unwrap();
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let after = |word: &str| words[words.iter().position(|w| *w == word).unwrap() + 1].parse::<f32>().unwrap();
+    let labels = std::fs::read(labels).unwrap().chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+    ((after("extract") + after("label-back")) / 1000.0, labels)
+}
