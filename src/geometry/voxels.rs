@@ -95,10 +95,65 @@ impl VoxelGrid {
         self.index.get(&key).copied()
     }
 
-    /// The occupied ones among the 26 neighbours of voxel `i`, in a fixed order.
-    pub fn neighbours(&self, i: u32) -> impl Iterator<Item = u32> + '_ {
-        let key = self.keys[i as usize];
-        NEIGHBOURS_26.iter().filter_map(move |&d| self.get(key.offset(d)))
+    /// The occupied ones among the 26 neighbours of every voxel, ascending.
+    #[must_use]
+    pub fn neighbours(&self) -> Neighbours {
+        const CHUNK: usize = 4096;
+        let chunks: Vec<(Vec<u32>, Vec<u32>)> = (0..self.len())
+            .step_by(CHUNK)
+            .collect::<Vec<_>>()
+            .into_par_iter()
+            .map(|from| self.neighbours_of(from..(from + CHUNK).min(self.len())))
+            .collect();
+        let mut starts = Vec::with_capacity(self.len() + 1);
+        let mut total = 0;
+        starts.push(0);
+        for (counts, _) in &chunks {
+            for count in counts {
+                total += count;
+                starts.push(total);
+            }
+        }
+        Neighbours { starts, list: chunks.into_iter().flat_map(|(_, list)| list).collect() }
+    }
+
+    /// Count per voxel and the neighbours in one list.
+    ///
+    /// Along Z neighbours have consecutive keys, and as voxels ascend so do the keys of the nine columns around them: nine
+    /// cursors sweep the sorted keys once, and nothing is looked up.
+    fn neighbours_of(&self, voxels: std::ops::Range<usize>) -> (Vec<u32>, Vec<u32>) {
+        let columns: [i64; 9] = std::array::from_fn(|i| (i as i64 / 3 - 1) * (1 << 42) + (i as i64 % 3 - 1) * (1 << 21));
+        let lowest = |voxel: usize, column: i64| VoxelKey((self.keys[voxel].0 as i64 + column - 1) as u64);
+        let mut cursors = columns.map(|column| self.keys.partition_point(|&k| k < lowest(voxels.start, column)));
+        let (mut counts, mut list) = (Vec::with_capacity(voxels.len()), Vec::with_capacity(voxels.len() * 10));
+        for voxel in voxels {
+            let before = list.len();
+            for (&column, cursor) in columns.iter().zip(&mut cursors) {
+                let low = lowest(voxel, column);
+                while self.keys.get(*cursor).is_some_and(|&k| k < low) {
+                    *cursor += 1;
+                }
+                let within = self.keys[*cursor..].iter().take(3).take_while(|k| k.0 <= low.0 + 2);
+                list.extend((*cursor..*cursor + within.count()).filter(|&n| n != voxel).map(|n| n as u32));
+            }
+            counts.push((list.len() - before) as u32);
+        }
+        (counts, list)
+    }
+}
+
+/// Neighbours of every voxel, one list after the other.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Neighbours {
+    starts: Vec<u32>,
+    list: Vec<u32>,
+}
+
+impl Neighbours {
+    #[must_use]
+    pub fn of(&self, voxel: u32) -> &[u32] {
+        let v = voxel as usize;
+        &self.list[self.starts[v] as usize..self.starts[v + 1] as usize]
     }
 }
 
@@ -142,12 +197,20 @@ mod tests {
 
     #[test]
     fn every_point_is_in_its_voxel() {
-        let points: Vec<_> = (0..100).map(|i| Point3::new(i as f32 * 0.013, -(i as f32) * 0.007, 0.5)).collect();
+        let points: Vec<_> = (0..5000)
+            .map(|i| i as f32)
+            .map(|i| Point3::new((i * 0.7).sin(), (i * 0.13).cos() * 0.6, (i * 0.031).sin() * 0.4))
+            .collect();
         let grid = VoxelGrid::new(&points, 0.05);
         for (p, &v) in points.iter().zip(&grid.of_point) {
             assert_eq!(grid.keys[v as usize], VoxelKey::of(p, 0.05));
         }
-        assert!(grid.len() < points.len() && grid.neighbours(0).count() > 0);
+        assert!(grid.len() < points.len());
+        let neighbours = grid.neighbours();
+        for (v, key) in grid.keys.iter().enumerate() {
+            let looked_up: Vec<u32> = NEIGHBOURS_26.iter().filter_map(|&d| grid.get(key.offset(d))).collect();
+            assert_eq!(neighbours.of(v as u32), looked_up);
+        }
     }
 
     #[test]

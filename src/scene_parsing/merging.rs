@@ -2,7 +2,7 @@
 
 use super::affinity::{self, Edge, Normalisation};
 use super::lifting::{FrameVisibility, coarsen};
-use super::superpoints::{Patch, Superpoints};
+use super::superpoints::{Patch, Superpoints, relabelled};
 use crate::geometry::union_find::UnionFind;
 use crate::progress::{Cancelled, Progress};
 use rayon::prelude::*;
@@ -77,18 +77,9 @@ impl Graph {
     /// The graph whose primitives are the regions of this one.
     fn coarsened(self, region_of: &[u32]) -> Self {
         let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
-        let mut adjacent: Vec<(u32, u32)> = self
-            .adjacent
-            .iter()
-            .map(|&(a, b)| (region_of[a as usize], region_of[b as usize]))
-            .map(|(a, b)| (a.min(b), a.max(b)))
-            .filter(|(a, b)| a != b)
-            .collect();
-        adjacent.sort_unstable();
-        adjacent.dedup();
         Self {
             patches: Patch::joined(&self.patches, region_of, count),
-            adjacent,
+            adjacent: relabelled(&self.adjacent, region_of),
             tables: self.tables.par_iter().map(|table| coarsen(table, region_of)).collect(),
         }
     }

@@ -25,17 +25,26 @@ pub(super) fn grow(voxels: &VoxelCloud, settings: &SuperpointSettings, progress:
         labels[seed as usize] = label as u32;
     }
     let mut centers: Vec<Patch> = seeds.iter().map(|&s| voxels.patches[s as usize]).collect();
+    // Only voxels at a border can change hands; a voxel gets there when a neighbour does change.
+    let mut at_border = vec![false; voxels.len()];
+    seeds.iter().flat_map(|&s| voxels.neighbours(s)).for_each(|&n| at_border[n as usize] = true);
     let rounds = (REACH * settings.seed_m / settings.voxel_m).ceil() as usize;
     for round in 0..rounds {
         progress.report("superpoints", round as f32 / rounds as f32)?;
-        let next: Vec<u32> = (0..voxels.len() as u32)
-            .into_par_iter()
-            .map(|v| best_label(voxels, &labels, &centers, v, settings))
-            .collect();
-        if next == labels {
+        let border: Vec<u32> = (0..voxels.len() as u32).filter(|&v| at_border[v as usize]).collect();
+        let wanted: Vec<Option<u32>> = border.par_iter().map(|&v| best_label(voxels, &labels, &centers, v, settings)).collect();
+        let mut changed = Vec::new();
+        for (&v, label) in border.iter().zip(wanted) {
+            at_border[v as usize] = label.is_some();
+            if let Some(label) = label.filter(|&l| l != labels[v as usize]) {
+                labels[v as usize] = label;
+                changed.push(v);
+            }
+        }
+        changed.iter().flat_map(|&v| voxels.neighbours(v)).for_each(|&n| at_border[n as usize] = true);
+        if changed.is_empty() {
             break;
         }
-        labels = next;
         centers = recenter(voxels, &labels, &centers);
     }
     // What no seed reached still shares one label: connected() tells those islands apart.
@@ -75,11 +84,12 @@ fn seeds(voxels: &VoxelCloud, settings: &SuperpointSettings) -> Vec<u32> {
 /// A surface through a voxel occupies about eight of its neighbours; a stray point has none.
 const MIN_SEED_NEIGHBOURS: usize = 2;
 
-fn best_label(voxels: &VoxelCloud, labels: &[u32], centers: &[Patch], v: u32, settings: &SuperpointSettings) -> u32 {
+/// The supervoxel nearest to a voxel among its own and its neighbours'; `None` when they are one.
+fn best_label(voxels: &VoxelCloud, labels: &[u32], centers: &[Patch], v: u32, settings: &SuperpointSettings) -> Option<u32> {
     let own = labels[v as usize];
     let neighbours = voxels.neighbours(v);
     if neighbours.iter().all(|&n| labels[n as usize] == own) {
-        return own;
+        return None;
     }
     let mut best = (if own == NONE { f32::INFINITY } else { distance(voxels, v, &centers[own as usize], settings) }, own);
     let mut seen = [NONE; 26];
@@ -94,7 +104,7 @@ fn best_label(voxels: &VoxelCloud, labels: &[u32], centers: &[Patch], v: u32, se
             best = candidate;
         }
     }
-    best.1
+    Some(best.1)
 }
 
 /// Distance of a voxel to a supervoxel in space, normal and colour, each in its own unit.

@@ -123,14 +123,29 @@ pub fn compute(cloud: &PointCloud, settings: &SuperpointSettings, progress: &Pro
     progress.report("superpoints", 0.4)?;
     let labels = flow::grow(&voxels, settings, &progress.part(0.4, 0.8))?;
     progress.report("superpoints", 0.8)?;
-    let labels = region_growing::join(&voxels, labels, settings);
-    progress.report("superpoints", 0.95)?;
-    let count = labels.iter().max().map_or(0, |&l| l as usize + 1);
-    let patches = Patch::joined(&voxels.patches, &labels, count);
     let adjacent = voxels.adjacent_labels(&labels);
+    let region_of = region_growing::join(&voxels, &labels, &adjacent, settings);
+    let labels: Vec<u32> = labels.into_iter().map(|l| region_of[l as usize]).collect();
+    progress.report("superpoints", 0.95)?;
+    let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
+    let patches = Patch::joined(&voxels.patches, &labels, count);
+    let adjacent = relabelled(&adjacent, &region_of);
     let of_point = voxels.grid.of_point.iter().map(|&v| labels[v as usize]).collect();
     let roughness_m = mean_per_label(&labels, &voxels.roughness_m, count);
     Ok(Superpoints { of_point, patches, adjacent, roughness_m })
+}
+
+/// Pairs `(low, high)` of neighbours after `label_of` has joined some of them, sorted.
+pub(super) fn relabelled(adjacent: &[(u32, u32)], label_of: &[u32]) -> Vec<(u32, u32)> {
+    let mut pairs: Vec<(u32, u32)> = adjacent
+        .iter()
+        .map(|&(a, b)| (label_of[a as usize], label_of[b as usize]))
+        .map(|(a, b)| (a.min(b), a.max(b)))
+        .filter(|(a, b)| a != b)
+        .collect();
+    pairs.sort_unstable();
+    pairs.dedup();
+    pairs
 }
 
 /// Mean of the values that share a label, for labels `0..count`.

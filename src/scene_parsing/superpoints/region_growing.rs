@@ -4,16 +4,16 @@ use super::voxel_cloud::VoxelCloud;
 use super::{Patch, SuperpointSettings, mean_per_label};
 use std::collections::VecDeque;
 
-/// Joins supervoxels that continue each other; returns voxel labels `0..n`.
+/// Joins supervoxels that continue each other; returns the region `0..n` of each.
 ///
 /// A region grows from its flattest supervoxel and compares candidates with that one, not with the last one added: a gently
 /// curved surface must not be followed around an object.
-pub(super) fn join(voxels: &VoxelCloud, labels: Vec<u32>, settings: &SuperpointSettings) -> Vec<u32> {
+pub(super) fn join(voxels: &VoxelCloud, labels: &[u32], adjacent: &[(u32, u32)], settings: &SuperpointSettings) -> Vec<u32> {
     let count = labels.iter().max().map_or(0, |&l| l as usize + 1);
-    let patches = Patch::joined(&voxels.patches, &labels, count);
-    let roughness = mean_per_label(&labels, &voxels.curvatures, count);
+    let patches = Patch::joined(&voxels.patches, labels, count);
+    let roughness = mean_per_label(labels, &voxels.curvatures, count);
     let mut neighbours = vec![Vec::new(); count];
-    for (a, b) in voxels.adjacent_labels(&labels) {
+    for &(a, b) in adjacent {
         neighbours[a as usize].push(b);
         neighbours[b as usize].push(a);
     }
@@ -48,5 +48,5 @@ pub(super) fn join(voxels: &VoxelCloud, labels: Vec<u32>, settings: &SuperpointS
         }
         regions += 1;
     }
-    labels.into_iter().map(|l| region[l as usize]).collect()
+    region
 }

@@ -1,13 +1,14 @@
 //! The cloud binned into voxels that know their neighbours, colour and surface normal.
 
 use super::Patch;
+use crate::geometry::least_axis::least_axis;
 use crate::geometry::colour::{Lab, lab_of_srgb};
 use crate::geometry::union_find::UnionFind;
-use crate::geometry::voxels::VoxelGrid;
+use crate::geometry::voxels::{Neighbours, VoxelGrid};
 use crate::geometry::{Matrix3, Point3, Vector3};
 use crate::scene::PointCloud;
-use nalgebra::SymmetricEigen;
 use rayon::prelude::*;
+use std::collections::BTreeSet;
 
 /// Occupied voxels as a graph. Vectors are indexed by voxel number.
 pub(super) struct VoxelCloud {
@@ -18,8 +19,7 @@ pub(super) struct VoxelCloud {
     pub curvatures: Vec<f32>,
     /// Root mean square distance of the points around to their plane, metres.
     pub roughness_m: Vec<f32>,
-    neighbour_starts: Vec<u32>,
-    neighbour_list: Vec<u32>,
+    neighbours: Neighbours,
 }
 
 /// First and second moments of the points in a voxel, relative to the voxel's own mean and then shifted as needed.
@@ -50,19 +50,11 @@ impl VoxelCloud {
     pub fn new(cloud: &PointCloud, voxel_m: f32) -> Self {
         let grid = VoxelGrid::new(&cloud.positions, voxel_m);
         let (moments, labs) = accumulate(cloud, &grid);
-        let lists: Vec<Vec<u32>> = (0..grid.len() as u32).into_par_iter().map(|v| grid.neighbours(v).collect()).collect();
-        let mut neighbour_starts = Vec::with_capacity(lists.len() + 1);
-        neighbour_starts.push(0);
-        let mut total = 0;
-        for list in &lists {
-            total += list.len() as u32;
-            neighbour_starts.push(total);
-        }
-        let neighbour_list = lists.concat();
+        let neighbours = grid.neighbours();
         let surfaces: Vec<Surface> = (0..grid.len())
             .into_par_iter()
             .map(|v| {
-                let around = &neighbour_list[neighbour_starts[v] as usize..neighbour_starts[v + 1] as usize];
+                let around = neighbours.of(v as u32);
                 surface(&around.iter().fold(moments[v], |sum, &n| sum.joined(&moments[n as usize])))
             })
             .collect();
@@ -74,7 +66,7 @@ impl VoxelCloud {
             .zip(&labs)
             .map(|((surface, m), &lab)| Patch { points: m.count as u32, center: Point3::from(m.mean), normal: surface.normal, lab })
             .collect();
-        Self { grid, patches, curvatures, roughness_m, neighbour_starts, neighbour_list }
+        Self { grid, patches, curvatures, roughness_m, neighbours }
     }
 
     pub fn len(&self) -> usize {
@@ -82,8 +74,7 @@ impl VoxelCloud {
     }
 
     pub fn neighbours(&self, voxel: u32) -> &[u32] {
-        let v = voxel as usize;
-        &self.neighbour_list[self.neighbour_starts[v] as usize..self.neighbour_starts[v + 1] as usize]
+        self.neighbours.of(voxel)
     }
 
     /// Numbers the connected parts of equal labels `0..n` in voxel order, so that every label is one piece.
@@ -103,20 +94,22 @@ impl VoxelCloud {
     /// second. Nearest are the 26 around, and in sparse places (thin legs, gaps in the scan) wider rings until
     /// [`NEAREST`] are found: a hole in a scan must not cut an object in two.
     pub fn adjacent_labels(&self, labels: &[u32]) -> Vec<(u32, u32)> {
-        let own_first = |own: u32, other: u32| (own.min(other), own.max(other));
-        let mut pairs: Vec<_> = (0..self.len())
-            .into_par_iter()
-            .flat_map_iter(|v| {
-                let around = self.neighbours(v as u32);
-                let beyond = self.rings_beyond(v, around.len());
-                around
-                    .iter()
-                    .copied()
-                    .chain(beyond)
-                    .map(move |n| own_first(labels[v], labels[n as usize]))
-                    .filter(|(a, b)| a != b)
-            })
-            .collect();
+        let chunk_pairs = |voxels: &[u32]| {
+            // Neighbouring voxels see the same pairs again and again: one set per chunk keeps the list short.
+            let mut pairs = BTreeSet::new();
+            for &v in voxels {
+                let (own, around) = (labels[v as usize], self.neighbours(v));
+                for n in around.iter().copied().chain(self.rings_beyond(v as usize, around.len())) {
+                    let other = labels[n as usize];
+                    if other != own {
+                        pairs.insert((own.min(other), own.max(other)));
+                    }
+                }
+            }
+            pairs.into_iter().collect::<Vec<_>>()
+        };
+        let voxels: Vec<u32> = (0..self.len() as u32).collect();
+        let mut pairs: Vec<_> = voxels.par_chunks(4096).flat_map_iter(chunk_pairs).collect();
         pairs.par_sort_unstable();
         pairs.dedup();
         pairs
@@ -179,12 +172,11 @@ struct Surface {
 }
 
 fn surface(moments: &Moments) -> Surface {
-    let eigen = SymmetricEigen::new(moments.scatter / moments.count.max(1.0));
-    let total = eigen.eigenvalues.sum();
+    let covariance = moments.scatter / moments.count.max(1.0);
+    let total = covariance.trace();
     if total <= f32::EPSILON * f32::EPSILON {
         return Surface { normal: Vector3::z(), curvature: 0.0, roughness_m: 0.0 };
     }
-    let axis = eigen.eigenvalues.imin();
-    let least = eigen.eigenvalues[axis].max(0.0);
-    Surface { normal: eigen.eigenvectors.column(axis).into_owned(), curvature: least / total, roughness_m: least.sqrt() }
+    let (least, normal) = least_axis(&covariance);
+    Surface { normal, curvature: least / total, roughness_m: least.sqrt() }
 }
