@@ -81,7 +81,11 @@ fn main() {
             format!("{:.3}", score.achievable_iou),
         ]);
     }
-    println!("room1, {} points, {RUNS} runs each, alternating, {} threads\n{table}", room.truth.len(), rayon::current_num_threads());
+    println!(
+        "room1, {} points, {RUNS} runs each, alternating, {} threads\n{table}",
+        room.truth.len(),
+        rayon::current_num_threads()
+    );
     if pcl.is_none() {
         println!("PCL was left out: no --pcl PROGRAM given");
     }
@@ -101,6 +105,10 @@ fn pcl_run(program: &str, raw: &Utf8Path, voxel: &str, seed: &str, labels: &Utf8
     let text = String::from_utf8(output.stdout).unwrap();
     let words: Vec<&str> = text.split_whitespace().collect();
     let after = |word: &str| words[words.iter().position(|w| *w == word).unwrap() + 1].parse::<f32>().unwrap();
-    let labels = std::fs::read(labels).unwrap().chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
+    let labels = std::fs::read(labels)
+        .unwrap()
+        .chunks_exact(4)
+        .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
+        .collect();
     ((after("extract") + after("label-back")) / 1000.0, labels)
 }

@@ -19,7 +19,9 @@ pub fn least_axis(matrix: &Matrix3<f32>) -> (f32, Vector3<f32>) {
     let rest = a - nalgebra::Matrix3::identity() * least;
     let rows = [rest.row(0).transpose(), rest.row(1).transpose(), rest.row(2).transpose()];
     let crosses = [rows[0].cross(&rows[1]), rows[1].cross(&rows[2]), rows[2].cross(&rows[0])];
-    let longest = crosses.iter().fold(crosses[0], |best, c| if c.norm_squared() > best.norm_squared() { *c } else { best });
+    let longest = crosses
+        .iter()
+        .fold(crosses[0], |best, c| if c.norm_squared() > best.norm_squared() { *c } else { best });
     let clear = longest.norm() > 1e-6 * spread * spread;
     if clear && least.is_finite() {
         return (least.max(0.0) as f32, (longest / longest.norm()).cast());

@@ -72,9 +72,7 @@ impl VoxelGrid {
     #[must_use]
     pub fn new(points: &[Point3<f32>], voxel_m: f32) -> Self {
         let point_keys: Vec<VoxelKey> = points.par_iter().map(|p| VoxelKey::of(p, voxel_m)).collect();
-        let mut keys = point_keys.clone();
-        keys.par_sort_unstable();
-        keys.dedup();
+        let keys = distinct(point_keys.clone());
         let index: VoxelMap<u32> = keys.iter().enumerate().map(|(i, &k)| (k, i as u32)).collect();
         let of_point = point_keys.par_iter().map(|k| index[k]).collect();
         Self { keys, of_point, index }
@@ -157,15 +155,22 @@ impl Neighbours {
     }
 }
 
+/// The keys that occur, ascending.
+fn distinct(mut keys: Vec<VoxelKey>) -> Vec<VoxelKey> {
+    // Points mostly come near each other: much falls away before the sort.
+    keys.dedup();
+    keys.par_sort_unstable();
+    keys.dedup();
+    keys
+}
+
 /// Cells the surface of a cloud is measured with, metres.
 const AREA_CELL_M: f32 = 0.1;
 
 /// Typical distance between neighbouring points on their surface, metres: the side of the square each point stands for.
 #[must_use]
 pub fn typical_spacing_m(points: &[Point3<f32>]) -> f32 {
-    let mut cells: Vec<VoxelKey> = points.par_iter().map(|p| VoxelKey::of(p, AREA_CELL_M)).collect();
-    cells.par_sort_unstable();
-    cells.dedup();
+    let cells = distinct(points.par_iter().map(|p| VoxelKey::of(p, AREA_CELL_M)).collect());
     (cells.len() as f32 * AREA_CELL_M * AREA_CELL_M / points.len().max(1) as f32).sqrt()
 }
 

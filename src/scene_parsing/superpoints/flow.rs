@@ -17,6 +17,9 @@ const COLOUR_UNIT: f32 = 50.0;
 /// Supervoxels may reach this many seed distances: PCL's value, enough to meet their neighbours around corners.
 const REACH: f32 = 1.8;
 
+/// Growth ends when fewer voxels than this share changed hands in a round: what still moves are single voxels to and fro.
+const SETTLED_SHARE: f32 = 0.05;
+
 /// Labels every voxel. Parts of the graph no seed reaches become supervoxels of their own.
 pub(super) fn grow(voxels: &VoxelCloud, settings: &SuperpointSettings, progress: &Progress) -> Result<Vec<u32>, Cancelled> {
     let seeds = seeds(voxels, settings);
@@ -42,7 +45,7 @@ pub(super) fn grow(voxels: &VoxelCloud, settings: &SuperpointSettings, progress:
             }
         }
         changed.iter().flat_map(|&v| voxels.neighbours(v)).for_each(|&n| at_border[n as usize] = true);
-        if changed.is_empty() {
+        if (changed.len() as f32) < SETTLED_SHARE * voxels.len() as f32 {
             break;
         }
         centers = recenter(voxels, &labels, &centers);

@@ -1,14 +1,13 @@
 //! The cloud binned into voxels that know their neighbours, colour and surface normal.
 
 use super::Patch;
-use crate::geometry::least_axis::least_axis;
 use crate::geometry::colour::{Lab, lab_of_srgb};
+use crate::geometry::least_axis::least_axis;
 use crate::geometry::union_find::UnionFind;
 use crate::geometry::voxels::{Neighbours, VoxelGrid};
 use crate::geometry::{Matrix3, Point3, Vector3};
 use crate::scene::PointCloud;
 use rayon::prelude::*;
-use std::collections::BTreeSet;
 
 /// Occupied voxels as a graph. Vectors are indexed by voxel number.
 pub(super) struct VoxelCloud {
@@ -31,6 +30,13 @@ struct Moments {
 }
 
 impl Moments {
+    fn add(&mut self, p: &Point3<f32>) {
+        self.count += 1.0;
+        let before = p.coords - self.mean;
+        self.mean += before / self.count;
+        self.scatter += before * (p.coords - self.mean).transpose();
+    }
+
     /// Moments of both sets together (Chan's pairwise update): no cancellation far from the origin.
     fn joined(self, other: &Self) -> Self {
         let count = self.count + other.count;
@@ -61,7 +67,7 @@ impl VoxelCloud {
         let curvatures = surfaces.iter().map(|s| s.curvature).collect();
         let roughness_m = surfaces.iter().map(|s| s.roughness_m).collect();
         let patches = surfaces
-            .iter()
+            .par_iter()
             .zip(&moments)
             .zip(&labs)
             .map(|((surface, m), &lab)| Patch { points: m.count as u32, center: Point3::from(m.mean), normal: surface.normal, lab })
@@ -95,18 +101,23 @@ impl VoxelCloud {
     /// [`NEAREST`] are found: a hole in a scan must not cut an object in two.
     pub fn adjacent_labels(&self, labels: &[u32]) -> Vec<(u32, u32)> {
         let chunk_pairs = |voxels: &[u32]| {
-            // Neighbouring voxels see the same pairs again and again: one set per chunk keeps the list short.
-            let mut pairs = BTreeSet::new();
+            // Neighbouring voxels see the same pairs again and again: a small table of those seen last keeps the list short.
+            let mut seen = [(u32::MAX, u32::MAX); 256];
+            let mut pairs = Vec::new();
+            let mut note = |own: u32, other: u32| {
+                let pair = (own.min(other), own.max(other));
+                let slot = &mut seen[(own ^ other.wrapping_mul(31)) as usize % 256];
+                if own != other && *slot != pair {
+                    *slot = pair;
+                    pairs.push(pair);
+                }
+            };
             for &v in voxels {
                 let (own, around) = (labels[v as usize], self.neighbours(v));
-                for n in around.iter().copied().chain(self.rings_beyond(v as usize, around.len())) {
-                    let other = labels[n as usize];
-                    if other != own {
-                        pairs.insert((own.min(other), own.max(other)));
-                    }
-                }
+                around.iter().for_each(|&n| note(own, labels[n as usize]));
+                self.rings_beyond(v as usize, around.len()).into_iter().for_each(|n| note(own, labels[n as usize]));
             }
-            pairs.into_iter().collect::<Vec<_>>()
+            pairs
         };
         let voxels: Vec<u32> = (0..self.len() as u32).collect();
         let mut pairs: Vec<_> = voxels.par_chunks(4096).flat_map_iter(chunk_pairs).collect();
@@ -145,22 +156,24 @@ fn shell(ring: i64) -> impl Iterator<Item = [i64; 3]> {
         .filter(move |d| d.iter().any(|c| c.abs() == ring))
 }
 
+/// Moments and mean colour of the points of each voxel, each voxel's points in their order.
 fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<Moments>, Vec<Lab>) {
+    /// Voxels a worker fills at a time; it looks through all points for them, so there are few.
+    let share = grid.len().div_ceil(2 * rayon::current_num_threads()).max(1);
     let mut moments = vec![Moments::default(); grid.len()];
     let mut labs = vec![Lab::zeros(); grid.len()];
-    let point_labs: Vec<Lab> = cloud.colours.par_iter().map(|&c| lab_of_srgb(c)).collect();
-    for ((p, lab), &v) in cloud.positions.iter().zip(&point_labs).zip(&grid.of_point) {
-        let v = v as usize;
-        let m = &mut moments[v];
-        m.count += 1.0;
-        let before = p.coords - m.mean;
-        m.mean += before / m.count;
-        m.scatter += before * (p.coords - m.mean).transpose();
-        labs[v] += lab;
-    }
-    for (lab, m) in labs.iter_mut().zip(&moments) {
-        *lab /= m.count;
-    }
+    let parts = moments.par_chunks_mut(share).zip(labs.par_chunks_mut(share));
+    parts.enumerate().for_each(|(part, (moments, labs))| {
+        let first = part * share;
+        for (i, &v) in grid.of_point.iter().enumerate() {
+            let Some(m) = (v as usize).checked_sub(first).and_then(|v| moments.get_mut(v)) else { continue };
+            m.add(&cloud.positions[i]);
+            labs[v as usize - first] += lab_of_srgb(cloud.colours[i]);
+        }
+        for (lab, m) in labs.iter_mut().zip(moments) {
+            *lab /= m.count;
+        }
+    });
     (moments, labs)
 }
 
