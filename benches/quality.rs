@@ -10,6 +10,7 @@ use comfy_table::{Table, presets};
 use uniground::evaluation::annotated::Room;
 use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_superpoints};
 use uniground::progress::Progress;
+use uniground::scene_parsing::checkpoints::Checkpoints;
 use uniground::scene_parsing::masks::MaskSource;
 use uniground::scene_parsing::masks::rgbd::RgbdMasks;
 use uniground::scene_parsing::{self, ParsingSettings, superpoints};
@@ -77,7 +78,7 @@ fn table(header: &[&str]) -> Table {
 }
 
 fn measure(room: &Room, masks: &dyn MaskSource, settings: &ParsingSettings, misses: bool) -> (InstanceScore, f32) {
-    let parsed = scene_parsing::parse(room.bundle.clone(), masks, settings, &Progress::silent()).unwrap();
+    let parsed = scene_parsing::parse(room.bundle.clone(), masks, settings, &Checkpoints::none(), &Progress::silent()).unwrap();
     let objects = room.objects(MIN_POINTS);
     let score = score_instances(&parsed, &objects, &room.truth);
     for (i, object) in objects.iter().enumerate().filter(|(i, _)| misses && score.box_iou[*i] < 0.5) {

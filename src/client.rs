@@ -2,7 +2,7 @@
 
 use crate::http::{FieldError, Problem};
 use crate::jobs::Job;
-use crate::service::{Answer, GroundRequest, InstanceList, Scene, SceneList, ShortlistRequest, Shortlisted};
+use crate::service::{Answer, GroundRequest, InstanceList, Scene, SceneList, SceneReport, ShortlistRequest, Shortlisted};
 use futures::StreamExt;
 use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
 use serde::Serialize;
@@ -101,6 +101,12 @@ impl Client {
     /// [`ClientError`].
     pub async fn parse(&self, id: &str, request: &impl Serialize) -> Result<Job, ClientError> {
         json(self.request(Method::POST, &format!("v1/scenes/{id}/parse")).json(request)).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn report(&self, scene_id: &str) -> Result<SceneReport, ClientError> {
+        json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/report"))).await
     }
 
     /// # Errors

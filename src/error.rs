@@ -23,6 +23,8 @@ pub enum Error {
     InstanceNotFound { scene_id: String, id: InstanceId },
     #[error("instance {id} has {views} views, numbered from 0; there is no view {view}")]
     ViewNotFound { id: InstanceId, view: u32, views: usize },
+    #[error("the parse report has no picture {name:?}")]
+    ReportPictureNotFound { name: String },
     #[error("there is no answer {id}")]
     AnswerNotFound { id: String },
     #[error("scene {id} has not been parsed yet")]
@@ -98,6 +100,7 @@ impl Error {
             Self::SceneNotFound { .. } => "scene_not_found",
             Self::InstanceNotFound { .. } => "instance_not_found",
             Self::ViewNotFound { .. } => "view_not_found",
+            Self::ReportPictureNotFound { .. } => "report_picture_not_found",
             Self::AnswerNotFound { .. } => "answer_not_found",
             Self::SceneNotReady { .. } => "scene_not_ready",
             Self::Invalid { .. } => "invalid_request",

@@ -4,6 +4,7 @@ mod demo;
 mod ground;
 mod openapi;
 mod parse;
+mod report_page;
 mod serve;
 mod table;
 

@@ -1,13 +1,13 @@
 //! `uniground parse`: stage 1 on a folder or an archive, without a server.
 
+use super::report_page;
 use crate::geometry::up_axis::UpAxis;
-use crate::ingest;
 use crate::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use crate::progress::Progress;
-use crate::scene::{ImportReport, Instance, ParseReport, ParsedScene, write_instances_ply};
-use crate::scene_parsing;
-use crate::scene_parsing::masks::rgbd::RgbdMasks;
-use crate::service::{ParsePreset, ParseSettings};
+use crate::scene::{ImportReport, Instance, ParseReport, write_instances_ply};
+use crate::scene_parsing::checkpoints::Checkpoints;
+use crate::scene_parsing::report_pictures;
+use crate::service::{ParsePreset, ParseSettings, ParsedScan, parse_scan};
 use anyhow::Context;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Serialize;
@@ -19,7 +19,7 @@ use tokio_util::sync::CancellationToken;
 pub struct ParseArgs {
     /// A scan: a folder, or an archive (.zip, .tar, .tar.zst)
     scan: Utf8PathBuf,
-    /// Write report.json, instances.json and instances.ply here
+    /// Write index.html with pictures of every step, report.json, instances.json and instances.ply here
     #[arg(long, value_name = "FOLDER")]
     report: Option<Utf8PathBuf>,
     /// Where settings start from
@@ -62,9 +62,9 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     let folder = if args.scan.is_dir() { args.scan.clone() } else { unpack_archive(&args.scan, unpacked.path().try_into()?)? };
 
     let progress = Progress::new(show_progress, CancellationToken::new());
-    let parsed = parse_scan(&folder, &settings, &progress);
+    let scan = parse_scan(&folder, &settings, &Checkpoints::none(), &progress);
     show_progress("", 1.0);
-    let (import, parsed) = parsed?;
+    let ParsedScan { import, frames, scene: parsed } = scan?;
 
     let report = Report { import: &import, parse: &parsed.report };
     if let Some(out) = &args.report {
@@ -72,6 +72,11 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
         fs::write(out.join("report.json"), serde_json::to_vec_pretty(&report)?)?;
         fs::write(out.join("instances.json"), serde_json::to_vec_pretty(&parsed.instances)?)?;
         write_instances_ply(&parsed, File::create(out.join("instances.ply"))?)?;
+        let pictures = report_pictures::render(&parsed, &frames, &Progress::silent())?;
+        for picture in &pictures {
+            fs::write(out.join(format!("{}.jpg", picture.name)), &picture.jpeg)?;
+        }
+        fs::write(out.join("index.html"), report_page::render(&args.scan, &import, &parsed, &pictures))?;
     }
     if args.json {
         println!("{}", serde_json::to_string_pretty(&report)?);
@@ -79,13 +84,6 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
         print_summary(&report, &parsed.instances);
     }
     Ok(())
-}
-
-fn parse_scan(folder: &Utf8Path, settings: &ParseSettings, progress: &Progress) -> anyhow::Result<(ImportReport, ParsedScene)> {
-    let bundle = ingest::load(&ingest::open(folder)?, &settings.import, &progress.part(0.0, 0.3))?;
-    let import = bundle.report.clone();
-    let masks = RgbdMasks { settings: settings.parsing.rgbd_masks };
-    Ok((import, scene_parsing::parse(bundle, &masks, &settings.parsing, &progress.part(0.3, 1.0))?))
 }
 
 /// One line that is written over; nothing where nobody watches.
@@ -109,7 +107,8 @@ fn print_summary(Report { import, parse }: &Report, instances: &[Instance]) {
         parse.frames_used, parse.points, parse.superpoints, parse.instances, parse.structural
     );
     for stage in &parse.stages {
-        println!("  {:<20} {:>7.2} s", stage.stage, stage.seconds);
+        let memory = stage.peak_memory_mb.map_or_else(String::new, |mb| format!("{mb:>6} MB"));
+        println!("  {:<20} {:>7.2} s {memory} {:>9}", stage.stage, stage.seconds, stage.produced);
     }
     for warning in import.warnings.iter().chain(&parse.warnings) {
         println!("  warning: {warning}");

@@ -8,6 +8,7 @@ mod health;
 mod instances;
 mod jobs;
 mod problem;
+mod reports;
 mod scenes;
 
 pub use auth::ApiKey;
@@ -75,6 +76,8 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(scenes::parse))
         .routes(routes!(scenes::cloud))
         .routes(routes!(scenes::instances_cloud))
+        .routes(routes!(reports::get))
+        .routes(routes!(reports::picture))
         .routes(routes!(instances::list))
         .routes(routes!(instances::get))
         .routes(routes!(instances::view))

@@ -124,9 +124,11 @@ fn status_of(error: &Error) -> StatusCode {
             JobsError::QueueFull { .. } => StatusCode::TOO_MANY_REQUESTS,
             JobsError::Store(_) => StatusCode::INTERNAL_SERVER_ERROR,
         },
-        Error::SceneNotFound { .. } | Error::InstanceNotFound { .. } | Error::ViewNotFound { .. } | Error::AnswerNotFound { .. } => {
-            StatusCode::NOT_FOUND
-        }
+        Error::SceneNotFound { .. }
+        | Error::InstanceNotFound { .. }
+        | Error::ViewNotFound { .. }
+        | Error::ReportPictureNotFound { .. }
+        | Error::AnswerNotFound { .. } => StatusCode::NOT_FOUND,
         Error::SceneNotReady { .. } => StatusCode::CONFLICT,
         Error::VlmUnavailable => StatusCode::BAD_GATEWAY,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,

@@ -3,16 +3,15 @@
 use crate::geometry::Point3;
 use crate::geometry::voxels::typical_spacing_m;
 use crate::scene::{Camera, PointCloud};
-use image::{Rgb, RgbImage};
+use image::{Rgba, RgbaImage};
 use rayon::prelude::*;
 
-const BACKGROUND: Rgb<u8> = Rgb([250, 250, 250]);
 /// A splat is this much wider than the spacing of the points: seen at a slant, surfaces would tear otherwise.
 const OVERLAP: f32 = 1.6;
 const MAX_SPLAT_PX: f32 = 24.0;
 
-/// Draws the points that `keep` keeps.
-pub(super) fn draw(cloud: &PointCloud, camera: &Camera, keep: impl Fn(&Point3<f32>) -> bool + Sync) -> RgbImage {
+/// Draws the points that `keep` keeps; transparent where there are none.
+pub(super) fn draw(cloud: &PointCloud, camera: &Camera, keep: impl Fn(&Point3<f32>) -> bool + Sync) -> RgbaImage {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let size_m = typical_spacing_m(&cloud.positions) * OVERLAP;
     let splats: Vec<(f32, f32, f32, [u8; 3])> = cloud
@@ -22,7 +21,7 @@ pub(super) fn draw(cloud: &PointCloud, camera: &Camera, keep: impl Fn(&Point3<f3
         .filter(|(p, _)| keep(p))
         .filter_map(|(p, &colour)| camera.project(p).map(|pixel| (pixel.u, pixel.v, pixel.z_m, colour)))
         .collect();
-    let mut picture = RgbImage::from_pixel(width, height, BACKGROUND);
+    let mut picture = RgbaImage::new(width, height);
     let mut depth = vec![f32::INFINITY; (width * height) as usize];
     for (u, v, z_m, colour) in splats {
         let half = (camera.intrinsics.fx * size_m / z_m / 2.0).clamp(0.5, MAX_SPLAT_PX / 2.0);
@@ -32,7 +31,8 @@ pub(super) fn draw(cloud: &PointCloud, camera: &Camera, keep: impl Fn(&Point3<f3
                 let nearest = &mut depth[(row * width + column) as usize];
                 if z_m < *nearest {
                     *nearest = z_m;
-                    picture.put_pixel(column, row, Rgb(colour));
+                    let [r, g, b] = colour;
+                    picture.put_pixel(column, row, Rgba([r, g, b, 255]));
                 }
             }
         }
@@ -60,6 +60,6 @@ mod tests {
         let intrinsics = Intrinsics { width: 200, height: 200, fx: 200.0, fy: 200.0, cx: 99.5, cy: 99.5 };
         let picture = draw(&cloud, &Camera::new(intrinsics, &Isometry3::from(Vector3::zeros())), |_| true);
         let window = picture.enumerate_pixels().filter(|(x, y, _)| (10..190).contains(x) && (10..190).contains(y));
-        assert!(window.into_iter().all(|(_, _, p)| *p == Rgb([255, 0, 0])));
+        assert!(window.into_iter().all(|(_, _, p)| *p == Rgba([255, 0, 0, 255])));
     }
 }

@@ -2,15 +2,28 @@
 
 use super::{FrameRef, PointCloud};
 use crate::geometry::up_axis::UpAxis;
+use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 /// A scan in canonical form. The cloud is in memory; frames are decoded one at a time by whoever needs them.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct SceneBundle {
     pub cloud: PointCloud,
     pub frames: Vec<FrameRef>,
     pub report: ImportReport,
+}
+
+impl SceneBundle {
+    /// The same bundle with the paths of its frames changed.
+    #[must_use]
+    pub fn with_paths(mut self, path: impl Fn(&Utf8Path) -> Utf8PathBuf) -> Self {
+        for frame in &mut self.frames {
+            frame.color = path(&frame.color);
+            frame.depth = path(&frame.depth);
+        }
+        self
+    }
 }
 
 /// How poses are to be read.

@@ -1,9 +1,10 @@
 //! Coloured point clouds.
 
 use crate::geometry::Point3;
+use serde::{Deserialize, Serialize};
 
 /// Points and their colours, same length. Metres, world frame.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct PointCloud {
     pub positions: Vec<Point3<f32>>,
     /// 8-bit sRGB.

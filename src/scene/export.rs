@@ -17,11 +17,7 @@ pub fn write_cloud_ply(cloud: &PointCloud, out: impl Write) -> io::Result<()> {
 /// # Errors
 /// Those of `out`.
 pub fn write_instances_ply(scene: &ParsedScene, out: impl Write) -> io::Result<()> {
-    write(
-        &scene.cloud.positions,
-        |i| (instance_colour(scene.instance_of_point[i]), Some(scene.instance_of_point[i])),
-        out,
-    )
+    write(&scene.cloud.positions, |i| (id_colour(scene.instance_of_point[i].0), Some(scene.instance_of_point[i])), out)
 }
 
 fn write(positions: &[Point3<f32>], of_point: impl Fn(usize) -> ([u8; 3], Option<InstanceId>), out: impl Write) -> io::Result<()> {
@@ -48,9 +44,9 @@ fn write(positions: &[Point3<f32>], of_point: impl Fn(usize) -> ([u8; 3], Option
 
 /// A colour per id: steps of the golden angle around the hue circle, so that neighbours in number differ.
 #[must_use]
-pub fn instance_colour(id: InstanceId) -> [u8; 3] {
-    let hue = (id.0 as f32 * 0.618_034).fract() * 6.0;
-    let value = if id.0.is_multiple_of(2) { 0.95 } else { 0.75 };
+pub fn id_colour(id: u32) -> [u8; 3] {
+    let hue = (id as f32 * 0.618_034).fract() * 6.0;
+    let value = if id.is_multiple_of(2) { 0.95 } else { 0.75 };
     [5.0, 3.0, 1.0].map(|n: f32| {
         let k = (n + hue) % 6.0;
         ((value - value * 0.7 * k.min(4.0 - k).clamp(0.0, 1.0)) * 255.0) as u8

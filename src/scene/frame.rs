@@ -21,7 +21,7 @@ impl std::fmt::Display for FrameIndex {
 }
 
 /// Where one frame lies and how it was taken. Decoding happens in [`FrameRef::decode`].
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct FrameRef {
     pub index: FrameIndex,
     pub color: Utf8PathBuf,

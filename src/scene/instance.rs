@@ -52,6 +52,17 @@ pub enum Support {
     Nothing,
 }
 
+impl std::fmt::Display for Support {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Floor => f.write_str("floor"),
+            Self::Instance { id } => write!(f, "instance {id}"),
+            Self::Wall { id } => write!(f, "wall {id}"),
+            Self::Nothing => f.write_str("nothing found"),
+        }
+    }
+}
+
 /// A picture that shows an instance well.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct View {

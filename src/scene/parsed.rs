@@ -11,6 +11,8 @@ pub struct ParsedScene {
     pub cloud: PointCloud,
     /// Instance of each point of `cloud`.
     pub instance_of_point: Vec<InstanceId>,
+    /// Superpoint of each point, numbered from 0.
+    pub superpoint_of_point: Vec<u32>,
     /// In order of id.
     pub instances: Vec<Instance>,
     pub extent: Aabb,
@@ -28,13 +30,23 @@ pub struct ParseReport {
     pub structural: u32,
     /// Instances that no frame shows.
     pub without_views: u32,
-    /// Wall-clock seconds per stage, in order.
-    pub stages: Vec<StageTiming>,
+    /// What each stage did and took, in order.
+    pub stages: Vec<StageReport>,
     pub warnings: Vec<String>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct StageTiming {
+pub struct StageReport {
     pub stage: String,
+    /// Wall-clock.
     pub seconds: f32,
+    /// How many came out: points, superpoints, masks over all frames, regions, instances, views.
+    #[serde(default)]
+    pub produced: u64,
+    /// Whether they were kept from an earlier parse of the scan that got so far under the same settings.
+    #[serde(default)]
+    pub reused: bool,
+    /// Largest resident memory of the whole process during the stage; `null` where the system does not tell.
+    #[serde(default)]
+    pub peak_memory_mb: Option<u32>,
 }

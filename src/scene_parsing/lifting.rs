@@ -3,25 +3,72 @@
 //! Frames arrive one at a time and leave a sparse table behind: memory is (superpoints seen) x (masks they touch) per frame,
 //! never points x frames.
 
-use super::masks::IdImage;
-use crate::scene::{Frame, FrameIndex, PointCloud};
+use super::ParseError;
+use super::checkpoints::Log;
+use super::masks::{IdImage, MaskSource};
+use crate::progress::Progress;
+use crate::scene::{Frame, FrameIndex, FrameRef, PointCloud, stream_frames};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// What one frame sees. Rows are sorted by superpoint.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameVisibility {
     pub frame: FrameIndex,
+    /// How many masks the frame has.
+    pub masks: u32,
     pub rows: Vec<VisibleSuperpoint>,
 }
 
 /// One superpoint in one frame.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct VisibleSuperpoint {
     pub superpoint: u32,
     /// Points of the superpoint this frame sees.
     pub visible: u32,
     /// Visible points per mask, sorted by mask id; points under no mask are not listed.
     pub masks: Vec<(u16, u32)>,
+}
+
+/// What frames are looked up in, and how.
+pub struct Lifting<'a> {
+    pub cloud: &'a PointCloud,
+    pub superpoint_of_point: &'a [u32],
+    pub masks: &'a dyn MaskSource,
+    /// See [`lift`].
+    pub depth_tolerance: f32,
+}
+
+impl Lifting<'_> {
+    /// The tables of all frames, in order. Frames kept in `log` are not looked at again; the flag tells whether that was all.
+    ///
+    /// # Errors
+    /// [`ParseError`]: an unreadable frame, or cancellation.
+    pub fn all(
+        &self,
+        frames: &[FrameRef],
+        mut log: Log<FrameVisibility>,
+        progress: &Progress,
+    ) -> Result<(Vec<FrameVisibility>, bool), ParseError> {
+        let mut tables = log.kept();
+        tables.truncate(frames.len());
+        let kept = tables.len();
+        stream_frames(
+            &frames[kept..],
+            |frame| {
+                progress.check()?;
+                let frame = frame.decode()?;
+                let ids = self.masks.masks(&frame);
+                Ok::<_, ParseError>(lift(self.cloud, self.superpoint_of_point, &frame, &ids, self.depth_tolerance))
+            },
+            |i, table| {
+                log.append(&table);
+                tables.push(table);
+                Ok(progress.report("masks_and_lifting", (kept + i + 1) as f32 / frames.len() as f32)?)
+            },
+        )?;
+        Ok((tables, kept > 0 && kept == frames.len()))
+    }
 }
 
 /// Looks up every point in one frame (paper: visible when it projects inside, in front, and fits the measured depth).
@@ -54,7 +101,7 @@ pub fn lift(cloud: &PointCloud, superpoint_of_point: &[u32], frame: &Frame, mask
                 .collect(),
         })
         .collect();
-    FrameVisibility { frame: frame.index, rows }
+    FrameVisibility { frame: frame.index, masks: masks.count(), rows }
 }
 
 /// The same table for coarser primitives: `region_of[superpoint]` replaces superpoints.
@@ -78,7 +125,7 @@ pub fn coarsen(table: &FrameVisibility, region_of: &[u32]) -> FrameVisibility {
             }
         })
         .collect();
-    FrameVisibility { frame: table.frame, rows }
+    FrameVisibility { frame: table.frame, masks: table.masks, rows }
 }
 
 #[cfg(test)]
@@ -124,8 +171,11 @@ mod tests {
     #[test]
     fn coarsening_adds_up() {
         let row = |superpoint, visible, masks: &[(u16, u32)]| VisibleSuperpoint { superpoint, visible, masks: masks.to_vec() };
-        let table =
-            FrameVisibility { frame: FrameIndex(0), rows: vec![row(0, 3, &[(1, 3)]), row(1, 4, &[(2, 4)]), row(2, 5, &[(1, 2), (2, 3)])] };
+        let table = FrameVisibility {
+            frame: FrameIndex(0),
+            masks: 2,
+            rows: vec![row(0, 3, &[(1, 3)]), row(1, 4, &[(2, 4)]), row(2, 5, &[(1, 2), (2, 3)])],
+        };
         let coarse = coarsen(&table, &[1, 0, 1]);
         assert_eq!(coarse.rows, [row(0, 4, &[(2, 4)]), row(1, 8, &[(1, 5), (2, 3)])]);
     }

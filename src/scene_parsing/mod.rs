@@ -8,13 +8,16 @@
 //! the same instances, whatever the number of threads.
 
 pub mod affinity;
+pub mod checkpoints;
 pub mod evidence;
 mod frame_sampling;
 pub mod instances;
 pub mod lifting;
 pub mod masks;
 pub mod merging;
+pub mod report_pictures;
 mod settings;
+mod stopwatch;
 pub mod superpoints;
 pub mod views;
 pub mod wholes;
@@ -22,11 +25,13 @@ pub mod wholes;
 use crate::geometry::boxes::Aabb;
 use crate::models::attributes;
 use crate::progress::{Cancelled, Progress};
-use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle, StageTiming, stream_frames};
+use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle, stream_frames};
+use checkpoints::Checkpoints;
+use lifting::Lifting;
 use masks::MaskSource;
 use rayon::prelude::*;
 pub use settings::ParsingSettings;
-use std::time::Instant;
+pub use stopwatch::{Outcome, Stopwatch};
 
 #[derive(Debug, thiserror::Error)]
 pub enum ParseError {
@@ -38,7 +43,7 @@ pub enum ParseError {
     Cancelled(#[from] Cancelled),
 }
 
-/// Cuts a scene into instances.
+/// Cuts a scene into instances. Stages found in `checkpoints` are taken from there.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame (named), an empty cloud, or cancellation.
@@ -46,47 +51,49 @@ pub fn parse(
     bundle: SceneBundle,
     masks: &dyn MaskSource,
     settings: &ParsingSettings,
+    checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<ParsedScene, ParseError> {
     let SceneBundle { cloud, frames, report: _ } = bundle;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let frames = frame_sampling::sample(&frames, &settings.frame_sampling);
-    let mut clock = Clock::default();
+    let mut watch = Stopwatch::default();
 
-    let superpoints = clock.time("superpoints", || superpoints::compute(&cloud, &settings.superpoints, &progress.part(0.0, 0.35)))?;
-
-    let lifting = progress.part(0.35, 0.75);
-    let mut tables = Vec::with_capacity(frames.len());
-    clock.time("masks_and_lifting", || {
-        stream_frames(
-            &frames,
-            |frame| {
-                lifting.check()?;
-                let frame = frame.decode()?;
-                let ids = masks.masks(&frame);
-                Ok::<_, ParseError>(lifting::lift(&cloud, &superpoints.of_point, &frame, &ids, settings.depth_tolerance))
-            },
-            |i, table| {
-                tables.push(table);
-                Ok(lifting.report("masks_and_lifting", (i + 1) as f32 / frames.len() as f32)?)
-            },
-        )
+    let superpoints = watch.time("superpoints", |outcome| {
+        let compute = || superpoints::compute(&cloud, &settings.superpoints, &progress.part(0.0, 0.35));
+        let (superpoints, reused) = checkpoints.once("superpoints", &settings.superpoints, compute)?;
+        *outcome = Outcome { produced: superpoints.patches.len(), reused };
+        Ok::<_, ParseError>(superpoints)
     })?;
-    let blind = tables
-        .iter()
-        .filter(|table| table.rows.is_empty())
-        .map(|table| table.frame.to_string())
-        .collect::<Vec<_>>();
-
-    let region_of = clock.time("merging", || merging::merge(&superpoints, tables, &settings.merging, &progress.part(0.75, 0.83)))?;
-    let region_of = clock.time("wholes", || wholes::join(&cloud, &superpoints, region_of, &settings.wholes, &progress.part(0.83, 0.85)))?;
-    let (mut instances, instance_of_point) = clock.time("instances", || {
-        instances::build(&cloud, &superpoints, &region_of, &settings.instances, &progress.part(0.85, 0.88))
+    let lifted_with = (&settings.superpoints, &settings.frame_sampling, masks.name(), &settings.rgbd_masks, settings.depth_tolerance);
+    let tables = watch.time("masks_and_lifting", |outcome| {
+        let lifting =
+            Lifting { cloud: &cloud, superpoint_of_point: &superpoints.of_point, masks, depth_tolerance: settings.depth_tolerance };
+        let (tables, reused) = lifting.all(&frames, checkpoints.log("lifting", &lifted_with), &progress.part(0.35, 0.75))?;
+        *outcome = Outcome { produced: tables.iter().map(|t| t.masks as usize).sum(), reused };
+        Ok::<_, ParseError>(tables)
+    })?;
+    let blind: Vec<String> = tables.iter().filter(|t| t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
+    let region_of = watch.time("merging", |outcome| {
+        let compute = || merging::merge(&superpoints, tables, &settings.merging, &progress.part(0.75, 0.83));
+        let (region_of, reused) = checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
+        *outcome = Outcome { produced: count(&region_of), reused };
+        Ok::<_, ParseError>(region_of)
+    })?;
+    let region_of = watch.time("wholes", |outcome| {
+        let wholes = wholes::join(&cloud, &superpoints, region_of, &settings.wholes, &progress.part(0.83, 0.85))?;
+        outcome.produced = count(&wholes);
+        Ok::<_, ParseError>(wholes)
+    })?;
+    let (mut instances, instance_of_point) = watch.time("instances", |outcome| {
+        let built = instances::build(&cloud, &superpoints, &region_of, &settings.instances, &progress.part(0.85, 0.88))?;
+        outcome.produced = built.0.len();
+        Ok::<_, ParseError>(built)
     })?;
 
     let viewing = progress.part(0.88, 1.0);
-    let mut sightings = Vec::new();
-    clock.time("views", || {
+    let sightings = watch.time("views", |outcome| {
+        let mut sightings = Vec::new();
         stream_frames(
             &frames,
             |frame| {
@@ -97,7 +104,9 @@ pub fn parse(
                 sightings.extend(seen);
                 Ok(viewing.report("views", (i + 1) as f32 / frames.len() as f32)?)
             },
-        )
+        )?;
+        outcome.produced = sightings.len();
+        Ok::<_, ParseError>(sightings)
     })?;
     views::choose(&mut instances, sightings, &frames, &settings.views);
     instances.par_iter_mut().for_each(|instance| instance.names = attributes::name_guesses(instance));
@@ -116,10 +125,11 @@ pub fn parse(
         instances: instances.len() as u32,
         structural: instances.iter().filter(|i| i.structure.is_some()).count() as u32,
         without_views: instances.iter().filter(|i| i.views.is_empty()).count() as u32,
-        stages: clock.stages,
+        stages: watch.stages,
         warnings,
     };
-    Ok(ParsedScene { cloud, instance_of_point, instances, extent, report })
+    let superpoint_of_point = superpoints.of_point;
+    Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, extent, report })
 }
 
 fn shortened(names: &[String]) -> String {
@@ -128,17 +138,7 @@ fn shortened(names: &[String]) -> String {
     if names.len() > SHOWN { format!("{shown}, ...") } else { shown }
 }
 
-/// Wall-clock seconds per stage, for the report only: nothing is decided by it.
-#[derive(Default)]
-struct Clock {
-    stages: Vec<StageTiming>,
-}
-
-impl Clock {
-    fn time<T>(&mut self, stage: &str, work: impl FnOnce() -> T) -> T {
-        let start = Instant::now();
-        let result = work();
-        self.stages.push(StageTiming { stage: stage.into(), seconds: start.elapsed().as_secs_f32() });
-        result
-    }
+/// How many labels `0..n` there are.
+fn count(labels: &[u32]) -> usize {
+    labels.iter().max().map_or(0, |&l| l as usize + 1)
 }

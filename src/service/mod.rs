@@ -5,6 +5,7 @@ mod cache;
 mod instances;
 mod parsing;
 mod pictures;
+mod reports;
 mod scenes;
 mod uploads;
 
@@ -12,7 +13,8 @@ pub use answering::{
     Ablation, Answer, Call, CoordinateFrame, GroundRequest, Include, Models, ReasonerChoice, ShortlistRequest, Shortlisted, Trace, Usage,
 };
 pub use instances::{InstanceList, InstanceView, ViewPicture};
-pub use parsing::{PARSE_JOB, ParseModels, ParsePreset, ParseSettings};
+pub use parsing::{PARSE_JOB, ParseModels, ParsePreset, ParseSettings, ParsedScan, parse_scan};
+pub use reports::{ReportPictureLink, SceneReport};
 pub use scenes::{Scene, SceneCounts, SceneList, SceneStatus};
 pub use uploads::NewScene;
 

@@ -1,16 +1,17 @@
 //! Parsing as a job: the same content with the same settings is parsed once.
 
-use super::Service;
+use super::{Service, reports};
 use crate::error::Error;
 use crate::ingest::{self, ImportSettings};
 use crate::jobs::{Handler, Job, JobContext, JobFailure};
 use crate::models::attributes;
 use crate::progress::Progress;
-use crate::scene::{ImportReport, ParsedScene, write_cloud_ply, write_instances_ply};
+use crate::scene::{FrameRef, ImportReport, ParsedScene, write_cloud_ply, write_instances_ply};
+use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::scene_parsing::evidence::{EvidencePicture, Picture};
 use crate::scene_parsing::masks::MaskSource;
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
-use crate::scene_parsing::{self, ParsingSettings, evidence};
+use crate::scene_parsing::{self, Outcome, ParsingSettings, Stopwatch, evidence, report_pictures};
 use crate::store::{NewParse, SceneRow, Scratch};
 use camino::{Utf8Path, Utf8PathBuf};
 use futures::FutureExt;
@@ -26,7 +27,10 @@ use uuid::Uuid;
 pub const PARSE_JOB: &str = "parse";
 
 /// Raised when stage 1 changes what it computes: older parses are kept, but not taken for new ones.
-const STAGE_1_VERSION: u32 = 1;
+const STAGE_1_VERSION: u32 = 2;
+
+/// Folder of the report's pictures within a parse.
+pub(super) const REPORT_FOLDER: &str = "report";
 
 /// Everything a parse depends on, beside the content.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -206,9 +210,11 @@ impl Service {
             return Ok("the stored parse of the same content and settings is used".into());
         }
         let (content, scratch) = (self.store.blobs.content(&scene.content_hash), self.store.blobs.scratch()?);
+        let origin = format!("{STAGE_1_VERSION} {}", scene.content_hash);
+        let checkpoints = Checkpoints::kept_in(&self.store.blobs.checkpoints(&scene.content_hash), &origin);
         let job_settings = settings.clone();
         let Finished { import, parsed, blobs } =
-            spawn_blocking(move || parse_content(&content, &job_settings, scratch, &progress)).await??;
+            spawn_blocking(move || parse_content(&content, &job_settings, &checkpoints, scratch, &progress)).await??;
 
         let models = self.parse_models();
         let id = Uuid::now_v7().to_string();
@@ -241,16 +247,53 @@ impl Service {
     }
 }
 
-/// Stage 1 from an unpacked archive to files in `blobs`; runs on a blocking thread and on rayon.
-fn parse_content(content: &Utf8Path, settings: &ParseSettings, blobs: Scratch, progress: &Progress) -> Result<Finished, Error> {
-    let scan = ingest::open(content)?;
-    let bundle = ingest::load(&scan, &settings.import, &progress.part(0.0, 0.25))?;
+/// A scan brought in and cut into instances.
+pub struct ParsedScan {
+    pub import: ImportReport,
+    pub frames: Vec<FrameRef>,
+    pub scene: ParsedScene,
+}
+
+/// Import and stage 1 of an unpacked archive; blocks, and uses all of rayon's threads.
+///
+/// # Errors
+/// [`Error`] naming the file or frame at fault, or cancellation.
+pub fn parse_scan(
+    content: &Utf8Path,
+    settings: &ParseSettings,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+) -> Result<ParsedScan, Error> {
+    let mut watch = Stopwatch::default();
+    let bundle = watch.time("import", |outcome| {
+        // Kept with paths relative to the content, whose folder may lie elsewhere tomorrow.
+        let load = || {
+            let bundle = ingest::load(&ingest::open(content)?, &settings.import, &progress.part(0.0, 0.25))?;
+            Ok::<_, Error>(bundle.with_paths(|path| path.strip_prefix(content).unwrap_or(path).to_owned()))
+        };
+        let (bundle, reused) = checkpoints.once("import", &settings.import, load)?;
+        *outcome = Outcome { produced: bundle.cloud.len(), reused };
+        Ok::<_, Error>(bundle.with_paths(|path| content.join(path)))
+    })?;
     let (import, frames) = (bundle.report.clone(), bundle.frames.clone());
     let masks = RgbdMasks { settings: settings.parsing.rgbd_masks };
-    let parsed = scene_parsing::parse(bundle, &masks, &settings.parsing, &progress.part(0.25, 0.8))?;
+    let mut scene = scene_parsing::parse(bundle, &masks, &settings.parsing, checkpoints, &progress.part(0.25, 1.0))?;
+    scene.report.stages.splice(0..0, watch.stages);
+    Ok(ParsedScan { import, frames, scene })
+}
 
+/// Import and stage 1 from an unpacked archive to files in `blobs`.
+fn parse_content(
+    content: &Utf8Path,
+    settings: &ParseSettings,
+    checkpoints: &Checkpoints,
+    blobs: Scratch,
+    progress: &Progress,
+) -> Result<Finished, Error> {
+    let ParsedScan { import, frames, scene: parsed } = parse_scan(content, settings, checkpoints, &progress.part(0.0, 0.8))?;
     write_cloud_ply(&parsed.cloud, File::create(blobs.path().join("cloud.ply"))?)?;
     write_instances_ply(&parsed, File::create(blobs.path().join("instances.ply"))?)?;
+    reports::write_pictures(blobs.path(), report_pictures::render(&parsed, &frames, progress)?)?;
     let views = blobs.path().join("views");
     fs::create_dir(&views)?;
     evidence::render(&frames, &parsed.instances, &progress.part(0.8, 1.0), |EvidencePicture { instance, view, picture, jpeg }| {

@@ -3,6 +3,7 @@
 //! ```text
 //! blobs/contents/<sha256>/...     an unpacked archive
 //! blobs/parses/<id>/cloud.ply  instances.ply  views/<instance>-<view>-{crop,frame}.jpg
+//! blobs/checkpoints/<sha256>/...  finished stages of parses of that content
 //! tmp/                            uploads and folders being written; emptied at start
 //! ```
 //! A folder is written under `tmp/` and moved into place as a whole, so a blob that can be seen is complete.
@@ -49,7 +50,7 @@ impl Blobs {
         if blobs.tmp.exists() {
             fs::remove_dir_all(&blobs.tmp)?;
         }
-        for folder in [&blobs.tmp, &blobs.root.join("contents"), &blobs.root.join("parses")] {
+        for folder in [&blobs.tmp, &blobs.root.join("contents"), &blobs.root.join("parses"), &blobs.root.join("checkpoints")] {
             fs::create_dir_all(folder)?;
         }
         Ok(blobs)
@@ -58,6 +59,12 @@ impl Blobs {
     #[must_use]
     pub fn content(&self, hash: &str) -> Utf8PathBuf {
         self.root.join("contents").join(hash)
+    }
+
+    /// Finished stages of parses of a content, for the next parse of it.
+    #[must_use]
+    pub fn checkpoints(&self, hash: &str) -> Utf8PathBuf {
+        self.root.join("checkpoints").join(hash)
     }
 
     #[must_use]
@@ -112,7 +119,7 @@ impl Blobs {
     }
 
     pub(super) fn keep_only(&self, contents: &[String], parses: &[String]) -> io::Result<()> {
-        for (folder, known) in [("contents", contents), ("parses", parses)] {
+        for (folder, known) in [("contents", contents), ("checkpoints", contents), ("parses", parses)] {
             let known: HashSet<&str> = known.iter().map(String::as_str).collect();
             for entry in self.root.join(folder).read_dir_utf8()? {
                 let entry = entry?;

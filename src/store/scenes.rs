@@ -130,6 +130,7 @@ impl Store {
         tx.commit().await?;
         if shared == 0 {
             self.blobs.remove(&self.blobs.content(&content))?;
+            self.blobs.remove(&self.blobs.checkpoints(&content))?;
             orphans.iter().try_for_each(|parse| self.blobs.remove(&self.blobs.parse(parse)))?;
         }
         Ok(true)

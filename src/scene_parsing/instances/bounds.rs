@@ -53,6 +53,7 @@ fn in_company(positions: &[Point3<f32>], settings: &InstanceSettings) -> Vec<Poi
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Vector3;
     use proptest::prelude::*;
 
     fn block() -> Vec<Point3<f32>> {

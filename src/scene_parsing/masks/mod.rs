@@ -19,6 +19,14 @@ impl IdImage {
     pub fn at(&self, (column, row): (u32, u32)) -> u16 {
         self.ids[(row * self.width + column) as usize]
     }
+
+    /// How many different masks there are.
+    #[must_use]
+    pub fn count(&self) -> u32 {
+        let mut seen = vec![false; usize::from(u16::MAX) + 1];
+        self.ids.iter().for_each(|&id| seen[usize::from(id)] = true);
+        seen[1..].iter().filter(|seen| **seen).count() as u32
+    }
 }
 
 /// Where masks come from: built in (`rgbd`), a segmentation model, or annotations.

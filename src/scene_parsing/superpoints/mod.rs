@@ -66,6 +66,7 @@ impl SuperpointSettings {
 const VOXEL_SPACINGS: f32 = 1.5;
 
 /// A labelling of the cloud and what is known of each label.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Superpoints {
     /// Superpoint of each point.
     pub of_point: Vec<u32>,
@@ -77,7 +78,7 @@ pub struct Superpoints {
 }
 
 /// Mean properties of a set of points: a voxel, a superpoint, a region.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Patch {
     pub points: u32,
     /// Centre of mass, metres, world frame.

@@ -158,7 +158,7 @@ fn shell(ring: i64) -> impl Iterator<Item = [i64; 3]> {
 
 /// Moments and mean colour of the points of each voxel, each voxel's points in their order.
 fn accumulate(cloud: &PointCloud, grid: &VoxelGrid) -> (Vec<Moments>, Vec<Lab>) {
-    /// Voxels a worker fills at a time; it looks through all points for them, so there are few.
+    // Voxels a worker fills at a time: it looks through all points for them, so there are few.
     let share = grid.len().div_ceil(2 * rayon::current_num_threads()).max(1);
     let mut moments = vec![Moments::default(); grid.len()];
     let mut labs = vec![Lab::zeros(); grid.len()];

@@ -1,0 +1,76 @@
+//! `index.html` of `uniground parse --report`: one page that shows what every stage did.
+
+use crate::scene::{ImportReport, ParsedScene};
+use crate::scene_parsing::report_pictures::ReportPicture;
+use camino::Utf8Path;
+use std::fmt::Write;
+
+const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1060px;margin:2rem auto;padding:0 1rem;color:#222}\
+table{border-collapse:collapse}td,th{padding:.2rem .8rem;border-bottom:1px solid #ddd;text-align:left}td.n{text-align:right}\
+img{max-width:100%;border:1px solid #ddd}figure{margin:1.5rem 0}.warning{background:#fff4d6;padding:.3rem .8rem;margin:.3rem 0}";
+
+/// The whole page; pictures are links to `<name>.jpg` beside it.
+pub(super) fn render(scan: &Utf8Path, import: &ImportReport, scene: &ParsedScene, pictures: &[ReportPicture]) -> String {
+    let report = &scene.report;
+    let mut page = format!(
+        "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\"><title>{0}</title><style>{STYLE}</style><h1>{0}</h1>",
+        escaped(scan.file_name().unwrap_or(scan.as_str()))
+    );
+    let _ = write!(
+        page,
+        "<p>{} points, {} of {} frames used, {} superpoints, {} instances ({} structural, {} without a view). \
+         Read as {}, up was {}, poses {:?}.</p>",
+        report.points,
+        report.frames_used,
+        import.frames,
+        report.superpoints,
+        report.instances,
+        report.structural,
+        report.without_views,
+        escaped(&import.format),
+        import.up.name(),
+        import.pose
+    );
+    for warning in import.warnings.iter().chain(&report.warnings) {
+        let _ = write!(page, "<p class=\"warning\">{}</p>", escaped(warning));
+    }
+    page.push_str("<h2>Stages</h2><table><tr><th>stage<th>seconds<th>peak memory<th>came out</tr>");
+    for stage in &report.stages {
+        let memory = stage.peak_memory_mb.map_or_else(|| "-".to_owned(), |mb| format!("{mb} MB"));
+        let name = escaped(&stage.stage);
+        let _ = write!(
+            page,
+            "<tr><td>{name}<td class=\"n\">{:.2}<td class=\"n\">{memory}<td class=\"n\">{}</tr>",
+            stage.seconds, stage.produced
+        );
+    }
+    page.push_str("</table><h2>Pictures</h2>");
+    for picture in pictures {
+        let _ = write!(
+            page,
+            "<figure><img src=\"{}.jpg\" alt=\"\"><figcaption>{}</figcaption></figure>",
+            picture.name,
+            escaped(&picture.title)
+        );
+    }
+    page.push_str("<h2>Instances</h2><table><tr><th>id<th>name<th>centre, m<th>size, m<th>points<th>rests on</tr>");
+    for instance in &scene.instances {
+        let triple = |v: [f32; 3]| format!("{:.2} {:.2} {:.2}", v[0], v[1], v[2]);
+        let _ = write!(
+            page,
+            "<tr><td class=\"n\">{}<td>{}<td>{}<td>{}<td class=\"n\">{}<td>{}</tr>",
+            instance.id,
+            escaped(instance.label()),
+            triple(instance.aabb.center.into()),
+            triple(instance.aabb.size.into()),
+            instance.point_count,
+            instance.support
+        );
+    }
+    page.push_str("</table></html>\n");
+    page
+}
+
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}

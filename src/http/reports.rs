@@ -1,0 +1,45 @@
+//! `/v1/scenes/{scene_id}/report`
+
+use super::App;
+use super::Binary;
+use super::extract::Path;
+use super::problem::Problem;
+use super::scenes::send_file;
+use crate::error::Error;
+use crate::service::SceneReport;
+use axum::Json;
+use axum::extract::State;
+use axum::response::Response;
+
+/// What the current parse did: counts, seconds and memory per stage, warnings, settings, and pictures of every step.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}/report", tag = "scenes", params(("scene_id" = String, Path)),
+    responses(
+        (status = 200, body = SceneReport),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Json<SceneReport>, Problem> {
+    Ok(Json(app.service.scene_report(&scene_id).await?))
+}
+
+/// A picture of the current parse.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}/report/{picture}", tag = "scenes",
+    params(("scene_id" = String, Path), ("picture" = String, Path, description = "`{name}.jpg` as listed in the report")),
+    responses(
+        (status = 200, body = Binary, content_type = "image/jpeg"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn picture(State(app): State<App>, Path((scene_id, picture)): Path<(String, String)>) -> Result<Response, Problem> {
+    let name = picture.strip_suffix(".jpg").ok_or_else(|| Error::ReportPictureNotFound { name: picture.clone() })?;
+    let file = app.service.report_picture(&scene_id, name).await?;
+    send_file(&file, "image/jpeg").await
+}
