@@ -73,7 +73,10 @@ pub fn read_cloud(file: &Utf8Path) -> Result<PointCloud, IngestError> {
 }
 
 fn own_cloud_of(scan: &Scan, file: &Utf8Path, to_z_up: &Isometry3<f32>, warnings: &mut Vec<String>) -> Result<PointCloud, IngestError> {
-    let clouds::ply::Loaded { mut cloud, dropped, has_colour } = clouds::ply::read(&scan.root, file)?;
+    let clouds::ply::Loaded { mut cloud, dropped, without_colour, has_colour } = clouds::ply::read(&scan.root, file)?;
+    if without_colour > 0 {
+        warnings.push(format!("{file}: the colours of {without_colour} points are not numbers: taken as grey"));
+    }
     if dropped > 0 {
         warnings.push(format!("{file}: {dropped} points dropped, their coordinates are not finite"));
     }

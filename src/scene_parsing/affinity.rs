@@ -36,6 +36,10 @@ pub struct Edge {
     pub affinity: f32,
 }
 
+/// No way leads on through what touches more than this: by way of a floor everything is near everything, which says nothing and
+/// makes pairs without end.
+const HUB: usize = 64;
+
 /// The edges of a graph over `0..count`: all pairs up to `max_hop` borders apart, sorted by `(a, b)`.
 ///
 /// # Errors
@@ -53,7 +57,8 @@ pub fn pairs_within(adjacent: &[(u32, u32)], count: usize, max_hop: u32, progres
             let mut hops: BTreeMap<u32, u32> = BTreeMap::from([(start, 0)]);
             let mut ring = vec![start];
             for hop in 1..=max_hop {
-                let reached: Vec<u32> = ring.iter().flat_map(|&n| neighbours[n as usize].iter().copied()).collect();
+                let ways = ring.iter().filter(|&&n| n == start || neighbours[n as usize].len() <= HUB);
+                let reached: Vec<u32> = ways.flat_map(|&n| neighbours[n as usize].iter().copied()).collect();
                 ring = reached.into_iter().filter(|&n| hops.insert_if_new(n, hop)).collect();
             }
             Ok(hops.into_iter().filter(|&(n, _)| n > start).map(|(n, hop)| (start, n, hop)).collect())

@@ -73,8 +73,7 @@ pub fn join(
     let rules: [&(dyn Fn(&Part, &Part) -> bool + Sync); 3] = [&legs, &backs, &feet];
     let mut region_of = region_of;
     for rule in rules {
-        progress.check()?;
-        region_of = apply(cloud, superpoints, region_of, settings, rule);
+        region_of = apply(cloud, superpoints, region_of, settings, rule, progress)?;
     }
     Ok(region_of)
 }
@@ -86,8 +85,9 @@ fn apply(
     region_of: Vec<u32>,
     settings: &WholeSettings,
     rule: &(dyn Fn(&Part, &Part) -> bool + Sync),
-) -> Vec<u32> {
-    let parts = parts(cloud, superpoints, &region_of);
+    progress: &Progress,
+) -> Result<Vec<u32>, Cancelled> {
+    let parts = parts(cloud, superpoints, &region_of, progress)?;
     let mut contacts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
     for &(a, b) in &superpoints.adjacent {
         let (a, b) = (region_of[a as usize], region_of[b as usize]);
@@ -111,7 +111,7 @@ fn apply(
         sets.union(part, whole);
     }
     let (labels, _) = sets.into_labels();
-    region_of.into_iter().map(|r| labels[r as usize]).collect()
+    Ok(region_of.into_iter().map(|r| labels[r as usize]).collect())
 }
 
 impl WholeSettings {
@@ -192,11 +192,11 @@ impl Part {
     }
 }
 
-fn parts(cloud: &PointCloud, superpoints: &Superpoints, region_of: &[u32]) -> Vec<Part> {
+fn parts(cloud: &PointCloud, superpoints: &Superpoints, region_of: &[u32], progress: &Progress) -> Result<Vec<Part>, Cancelled> {
     let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
     let mut members: Vec<Vec<Point3<f32>>> = vec![Vec::new(); count];
     for (p, &superpoint) in cloud.positions.iter().zip(&superpoints.of_point) {
         members[region_of[superpoint as usize] as usize].push(*p);
     }
-    members.par_iter().map(|positions| Part::of(positions)).collect()
+    members.par_iter().map(|positions| progress.check().map(|()| Part::of(positions))).collect()
 }

@@ -17,4 +17,5 @@ mod rivals;
 mod server;
 mod session;
 mod shared_scenes;
+mod stage_one;
 mod streaming;

@@ -17,6 +17,8 @@ use std::io::{BufRead, BufReader};
 pub struct Loaded {
     pub cloud: PointCloud,
     pub dropped: usize,
+    /// Points whose colour is not a number and was taken as grey.
+    pub without_colour: usize,
     pub has_colour: bool,
 }
 
@@ -51,7 +53,7 @@ pub fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Loaded, IngestError> {
     }
     let has_colour = ["red", "green", "blue"].iter().all(|c| vertex.properties.contains_key(*c));
     let vertices_first = header.elements.values().next().is_some_and(|e| e.name == "vertex");
-    let mut loaded = Loaded { cloud: PointCloud::default(), dropped: 0, has_colour };
+    let mut loaded = Loaded { cloud: PointCloud::default(), dropped: 0, without_colour: 0, has_colour };
     if vertices_first && let Some(row) = Row::of(vertex) {
         row.read(reader.into_inner(), vertex.count, &header.encoding, &mut loaded).map_err(malformed)?;
     } else {
@@ -85,6 +87,7 @@ impl Loaded {
             self.dropped += 1;
             return;
         }
+        self.without_colour += usize::from(vertex.nan_colour);
         self.cloud.positions.push(Point3::new(x, y, z));
         self.cloud.colours.push(vertex.colour);
     }
@@ -94,11 +97,15 @@ impl Loaded {
 struct Vertex {
     position: [f32; 3],
     colour: [u8; 3],
+    /// Whether a colour channel was NaN.
+    nan_colour: bool,
 }
+
+const GREY: u8 = 128;
 
 impl PropertyAccess for Vertex {
     fn new() -> Self {
-        Self { position: [f32::NAN; 3], colour: [128; 3] }
+        Self { position: [f32::NAN; 3], colour: [GREY; 3], nan_colour: false }
     }
 
     fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
@@ -143,8 +150,9 @@ impl ColourScale {
 
 impl Vertex {
     fn set(&mut self, name: &str, value: f64, scale: ColourScale) {
-        // NaN and out-of-range channels saturate: `as` clamps.
-        let channel = (value * scale.0).round() as u8;
+        // Out-of-range channels saturate: `as` clamps.
+        let channel = if value.is_nan() { GREY } else { (value * scale.0).round() as u8 };
+        self.nan_colour |= value.is_nan() && matches!(name, "red" | "green" | "blue");
         match name {
             "x" => self.position[0] = value as f32,
             "y" => self.position[1] = value as f32,
@@ -334,6 +342,19 @@ mod tests {
         bytes.extend(b"nan 2 3 10 20 30\n1 1 1 0 0 0\n");
         let loaded = read_bytes(&bytes).unwrap();
         assert_eq!((loaded.cloud.len(), loaded.dropped), (1, 1));
+    }
+
+    #[test]
+    fn colours_that_are_not_numbers_are_grey_and_counted() {
+        let mut bytes = header(
+            "ascii",
+            2,
+            "property float x\nproperty float y\nproperty float z\nproperty float red\nproperty float green\nproperty float blue\n",
+        );
+        bytes.extend(b"1 2 3 nan 0.5 1\n1 1 1 0 0 0\n");
+        let loaded = read_bytes(&bytes).unwrap();
+        assert_eq!((loaded.cloud.len(), loaded.without_colour), (2, 1));
+        assert_eq!(loaded.cloud.colours, [[128, 128, 255], [0; 3]]);
     }
 
     #[test]

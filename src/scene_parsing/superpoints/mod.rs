@@ -120,11 +120,12 @@ impl Patch {
 pub fn compute(cloud: &PointCloud, settings: &SuperpointSettings, progress: &Progress) -> Result<Superpoints, Cancelled> {
     progress.report("superpoints", 0.0)?;
     let settings = &settings.coarsened_to(typical_spacing_m(&cloud.positions));
-    let voxels = VoxelCloud::new(cloud, settings.voxel_m);
+    let voxels = VoxelCloud::new(cloud, settings.voxel_m, progress)?;
     progress.report("superpoints", 0.4)?;
     let labels = flow::grow(&voxels, settings, &progress.part(0.4, 0.8))?;
     progress.report("superpoints", 0.8)?;
     let adjacent = voxels.adjacent_labels(&labels);
+    progress.check()?;
     let region_of = region_growing::join(&voxels, &labels, &adjacent, settings);
     let labels: Vec<u32> = labels.into_iter().map(|l| region_of[l as usize]).collect();
     progress.report("superpoints", 0.95)?;

@@ -6,6 +6,7 @@ use crate::geometry::least_axis::least_axis;
 use crate::geometry::union_find::UnionFind;
 use crate::geometry::voxels::{Neighbours, VoxelGrid};
 use crate::geometry::{Matrix3, Point3, Vector3};
+use crate::progress::{Cancelled, Progress};
 use crate::scene::PointCloud;
 use rayon::prelude::*;
 
@@ -53,10 +54,13 @@ impl Moments {
 }
 
 impl VoxelCloud {
-    pub fn new(cloud: &PointCloud, voxel_m: f32) -> Self {
+    pub fn new(cloud: &PointCloud, voxel_m: f32, progress: &Progress) -> Result<Self, Cancelled> {
         let grid = VoxelGrid::new(&cloud.positions, voxel_m);
+        progress.check()?;
         let (moments, labs) = accumulate(cloud, &grid);
+        progress.check()?;
         let neighbours = grid.neighbours();
+        progress.check()?;
         let surfaces: Vec<Surface> = (0..grid.len())
             .into_par_iter()
             .map(|v| {
@@ -72,7 +76,7 @@ impl VoxelCloud {
             .zip(&labs)
             .map(|((surface, m), &lab)| Patch { points: m.count as u32, center: Point3::from(m.mean), normal: surface.normal, lab })
             .collect();
-        Self { grid, patches, curvatures, roughness_m, neighbours }
+        Ok(Self { grid, patches, curvatures, roughness_m, neighbours })
     }
 
     pub fn len(&self) -> usize {

@@ -1,0 +1,272 @@
+//! Stage 1 against annotated rooms (figures are printed), and its behaviour on scans that are cut short, turned or odd.
+
+use crate::archives::Scan;
+use crate::shared_scenes::shared_scene;
+use camino::Utf8Path;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use tokio_util::sync::CancellationToken;
+use uniground::evaluation::annotated::Room;
+use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_superpoints};
+use uniground::geometry::Point3;
+use uniground::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use uniground::ingest::{self, ImportSettings};
+use uniground::progress::Progress;
+use uniground::scene::{Frame, ImportReport, ParsedScene, PointCloud, PoseConvention, SceneBundle, Structure};
+use uniground::scene_parsing::checkpoints::Checkpoints;
+use uniground::scene_parsing::masks::rgbd::RgbdMasks;
+use uniground::scene_parsing::masks::{IdImage, MaskSource};
+use uniground::scene_parsing::{self, ParseError, ParsingSettings, superpoints};
+
+/// Objects with fewer points are left out of recall.
+const MIN_POINTS: u32 = 200;
+
+/// Loads an annotated room and runs `test` on it; says so where the rooms are not beside the checkout.
+fn with_room(name: &str, test: impl FnOnce(Room)) {
+    let Some(folder) = shared_scene(&format!("{name}.zip")) else { return };
+    let scratch = tempfile::tempdir().unwrap();
+    test(Room::load(&folder, name, Utf8Path::from_path(scratch.path()).unwrap()).unwrap());
+}
+
+fn parse(bundle: SceneBundle, masks: &dyn MaskSource) -> ParsedScene {
+    scene_parsing::parse(bundle, masks, &ParsingSettings::default(), &Checkpoints::none(), &Progress::silent()).unwrap()
+}
+
+fn score(room: &Room, masks: &dyn MaskSource) -> InstanceScore {
+    score_instances(&parse(room.bundle.clone(), masks), &room.objects(MIN_POINTS), &room.truth)
+}
+
+fn print(what: &str, score: &InstanceScore) {
+    let ([box_25, box_50], [point_25, point_50]) = (score.box_recall(), score.point_recall());
+    println!(
+        "{what}: {} instances, box recall {box_25:.3} / {box_50:.3}, point recall {point_25:.3} / {point_50:.3}, AP50 {:.3} over {} objects",
+        score.instances, score.ap50, score.objects
+    );
+}
+
+#[test]
+fn superpoints_respect_objects() {
+    with_room("room1", |room| {
+        let found = superpoints::compute(&room.bundle.cloud, &ParsingSettings::default().superpoints, &Progress::silent()).unwrap();
+        let score = score_superpoints(&found.of_point, &room.truth);
+        println!("room1: {score:?}");
+        // PCL's VCCS at 0.05 / 0.2: 0.970 and 0.871; at 0.02 / 0.2, in six times the time: 0.988 and 0.947.
+        assert!(score.purity >= 0.98 && score.achievable_iou >= 0.93, "{score:?}");
+    });
+}
+
+/// Floors a little under what is measured (benches/README.md): asked are .72 / .45 on room1 and .62 / .32 on room2.
+#[test]
+fn instances_without_a_model_cover_the_annotated_objects() {
+    for (name, floors) in [("room1", [0.83, 0.70]), ("room2", [0.79, 0.52])] {
+        with_room(name, |room| {
+            let score = score(&room, &RgbdMasks::default());
+            print(name, &score);
+            let recall = score.box_recall();
+            assert!(recall[0] >= floors[0] && recall[1] >= floors[1], "{name}: {recall:?}");
+        });
+    }
+}
+
+/// With the annotated masks fed in, only grouping and boxes can go wrong.
+#[test]
+fn perfect_masks_give_near_perfect_instances() {
+    for (name, floors) in [("room1", [0.97, 0.86]), ("room2", [0.92, 0.75])] {
+        with_room(name, |room| {
+            let score = score(&room, &room.masks());
+            print(&format!("{name}, annotated masks"), &score);
+            let recall = score.box_recall();
+            assert!(recall[0] >= floors[0] && recall[1] >= floors[1], "{name}: {recall:?}");
+        });
+    }
+}
+
+/// The order of the points must not matter at all to what is found, and turning the world only as far as voxels fall
+/// differently: an object or two of 37.
+#[test]
+fn neither_turning_the_world_nor_shuffling_points_matters() {
+    with_room("room1", |room| {
+        let masks = RgbdMasks::default();
+        let as_is = score(&room, &masks);
+        print("as is", &as_is);
+        for (what, other) in [("shuffled", room.shuffled()), ("turned by 90", room.turned(90.0)), ("turned by 33", room.turned(33.0))] {
+            let score = score(&other, &masks);
+            print(what, &score);
+            let differs = |a: [f32; 2], b: [f32; 2]| (a[0] - b[0]).abs().max((a[1] - b[1]).abs());
+            let limit = if what == "shuffled" { 0.03 } else { 0.06 };
+            assert!(differs(score.point_recall(), as_is.point_recall()) < limit, "{what}");
+            assert!((score.box_recall()[0] - as_is.box_recall()[0]).abs() < limit, "{what}");
+        }
+    });
+}
+
+#[test]
+fn the_floor_and_walls_are_structure_and_furniture_is_not() {
+    for name in ["room1", "room2"] {
+        with_room(name, |room| {
+            let parsed = parse(room.bundle.clone(), &RgbdMasks::default());
+            let has = |structure| parsed.instances.iter().any(|i| i.structure == Some(structure));
+            assert!(has(Structure::Floor) && has(Structure::Wall), "{name}");
+            for object in room.objects(1000) {
+                let best = parsed
+                    .instances
+                    .iter()
+                    .max_by(|a, b| a.aabb.iou(&object.aabb).total_cmp(&b.aabb.iou(&object.aabb)))
+                    .unwrap();
+                let wrong = best.aabb.iou(&object.aabb) > 0.5 && best.structure.is_some();
+                let part_of_a_wall = ["door", "window", "curtain", "rug", "picture", "whiteboard"].contains(&object.name.as_str());
+                assert!(!wrong || part_of_a_wall, "{name}: the {} is taken for {:?}", object.name, best.structure);
+            }
+        });
+    }
+}
+
+/// Counts frames, and asks to stop after some of them.
+struct Watched {
+    frames: AtomicUsize,
+    stop_after: usize,
+    stop: CancellationToken,
+}
+
+impl Watched {
+    fn new(stop_after: usize, stop: CancellationToken) -> Self {
+        Self { frames: AtomicUsize::new(0), stop_after, stop }
+    }
+
+    fn seen(&self) -> usize {
+        self.frames.load(Ordering::SeqCst)
+    }
+}
+
+impl MaskSource for Watched {
+    fn name(&self) -> &'static str {
+        "watched"
+    }
+
+    fn masks(&self, frame: &Frame) -> IdImage {
+        if self.frames.fetch_add(1, Ordering::SeqCst) + 1 == self.stop_after {
+            self.stop.cancel();
+        }
+        RgbdMasks::default().masks(frame)
+    }
+}
+
+fn sample_scan(folder: &Utf8Path) -> SceneBundle {
+    let archive = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/living_room.zip");
+    unpack(&archive, ArchiveKind::Zip, folder, &UnpackLimits::default()).unwrap();
+    ingest::load(&ingest::open(folder).unwrap(), &ImportSettings::default(), &Progress::silent()).unwrap()
+}
+
+#[test]
+fn a_cancelled_parse_goes_on_where_it_stopped() {
+    let (scan, kept) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let bundle = sample_scan(Utf8Path::from_path(scan.path()).unwrap());
+    let checkpoints = Checkpoints::kept_in(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
+    let settings = ParsingSettings::default();
+    let run = |watched: &Watched, settings: &ParsingSettings| {
+        let progress = Progress::new(|_, _| {}, watched.stop.clone());
+        scene_parsing::parse(bundle.clone(), watched, settings, &checkpoints, &progress)
+    };
+    let reused = |parsed: &ParsedScene| parsed.report.stages.iter().filter(|s| s.reused).map(|s| s.stage.clone()).collect::<Vec<_>>();
+
+    let stopped = Watched::new(9, CancellationToken::new());
+    assert!(matches!(run(&stopped, &settings), Err(ParseError::Cancelled(_))));
+    assert!((9..bundle.frames.len()).contains(&stopped.seen()), "{} frames", stopped.seen());
+
+    let resumed = Watched::new(usize::MAX, CancellationToken::new());
+    let parsed = run(&resumed, &settings).unwrap();
+    assert_eq!(reused(&parsed), ["superpoints"]);
+    assert!(
+        resumed.seen() < bundle.frames.len() && resumed.seen() + stopped.seen() >= bundle.frames.len(),
+        "{} frames",
+        resumed.seen()
+    );
+
+    let never_stopped = parse(bundle.clone(), &Watched::new(usize::MAX, CancellationToken::new()));
+    assert_eq!(parsed.instances, never_stopped.instances, "a resumed parse finds the same");
+    assert_eq!(parsed.instance_of_point, never_stopped.instance_of_point);
+
+    // Other merging, same masks: no frame is segmented again.
+    let again = Watched::new(usize::MAX, CancellationToken::new());
+    let mut literal = settings;
+    literal.merging.thresholds = vec![0.95, 0.9];
+    let parsed = run(&again, &literal).unwrap();
+    assert_eq!((again.seen(), reused(&parsed)), (0, vec!["superpoints".to_owned(), "masks_and_lifting".to_owned()]));
+    assert_ne!(parsed.instances.len(), never_stopped.instances.len());
+}
+
+fn bare(positions: Vec<Point3<f32>>) -> SceneBundle {
+    let report = ImportReport {
+        format: "test".into(),
+        up: uniground::geometry::up_axis::UpAxis::Z,
+        pose: PoseConvention::CameraToWorld,
+        camera_axes: "opencv".into(),
+        frames: 0,
+        frames_skipped: 0,
+        cloud_points: None,
+        reprojection_agreement: None,
+        warnings: Vec::new(),
+    };
+    let colours = positions.iter().map(|p| [(p.x * 40.0) as u8, 90, 120]).collect();
+    SceneBundle { cloud: PointCloud { positions, colours }, frames: Vec::new(), report }
+}
+
+#[test]
+fn odd_clouds_become_instances_or_a_clear_error() {
+    // Numbers without a pattern, the same in every run.
+    let hash = |i: u32, k: u32| {
+        let mixed = (u64::from(i) << 2 | u64::from(k)).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+        let mixed = (mixed ^ mixed >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        (mixed >> 40) as f32 / (1_u32 << 24) as f32
+    };
+    let cases: Vec<(&str, Vec<Point3<f32>>)> = vec![
+        ("one point", vec![Point3::new(1.0, 2.0, 3.0)]),
+        ("one place", vec![Point3::new(1.0, 2.0, 3.0); 5000]),
+        ("a line", (0..5000).map(|i| Point3::new(i as f32 * 0.001, 0.0, 0.0)).collect()),
+        ("a plane", (0..40_000).map(|i| Point3::new((i % 200) as f32 * 0.01, (i / 200) as f32 * 0.01, 0.0)).collect()),
+        // Everything near everything: must not tie every pair of superpoints.
+        (
+            "a cloud of noise",
+            (0..200_000).map(|i| Point3::new(hash(i, 1) * 6.0, hash(i, 2) * 5.0, hash(i, 3) * 2.5)).collect(),
+        ),
+        ("far apart", (0..500).map(|i| Point3::new(hash(i, 1), hash(i, 2), hash(i, 3)) * 9000.0).collect()),
+    ];
+    for (what, positions) in cases {
+        let points = positions.len();
+        let parsed = parse(bare(positions), &RgbdMasks::default());
+        assert!(!parsed.instances.is_empty() && parsed.instance_of_point.len() == points, "{what}");
+        assert_eq!(parsed.instances.iter().map(|i| i.point_count as usize).sum::<usize>(), points, "{what}");
+        assert!(parsed.instances.iter().all(|i| i.aabb.size.iter().all(|s| s.is_finite() && *s >= 0.0)), "{what}");
+        assert!(parsed.report.warnings.iter().any(|w| w.contains("no frames")), "{what}");
+        println!("{what}: {} superpoints, {} instances", parsed.report.superpoints, parsed.report.instances);
+    }
+    let nothing = scene_parsing::parse(
+        bare(Vec::new()),
+        &RgbdMasks::default(),
+        &ParsingSettings::default(),
+        &Checkpoints::none(),
+        &Progress::silent(),
+    );
+    assert!(matches!(nothing, Err(ParseError::NoPoints)));
+}
+
+/// Frames that look the other way: a parse with a warning that names them.
+#[test]
+fn frames_that_see_nothing_are_named() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = Utf8Path::from_path(folder.path()).unwrap();
+    let archive = path.join("scan.zip");
+    std::fs::write(&archive, Scan::frames_only().zip()).unwrap();
+    let content = path.join("content");
+    std::fs::create_dir(&content).unwrap();
+    unpack(&archive, ArchiveKind::Zip, &content, &UnpackLimits::default()).unwrap();
+    let mut bundle = ingest::load(&ingest::open(&content).unwrap(), &ImportSettings::default(), &Progress::silent()).unwrap();
+    let blind = bundle.frames.len() - 1;
+    bundle.frames[blind].camera_to_world.translation.vector.x += 500.0;
+    let number = bundle.frames[blind].index;
+    let parsed = parse(bundle, &RgbdMasks::default());
+    assert!(
+        parsed.report.warnings.iter().any(|w| w.ends_with(&format!("see no point of the cloud: {number}"))),
+        "{:?}",
+        parsed.report.warnings
+    );
+}
