@@ -2,7 +2,7 @@
 
 use crate::geometry::colour::{Lab, lab_of_srgb};
 use crate::geometry::{Point3, Vector3};
-use crate::scene::Frame;
+use crate::scene::{DepthImage, Frame};
 
 /// Surface elements on a grid of every `stride`-th pixel; row-major vectors of `width * height`.
 pub(super) struct Surfaces {
@@ -30,7 +30,7 @@ impl Surfaces {
         for row in 0..height as u32 {
             for column in 0..width as u32 {
                 let (u, v) = (column * stride, row * stride);
-                let z = frame.depth.at((u, v));
+                let z = depth_or_bridge(&frame.depth, u, v);
                 depth_m.push(z);
                 points.push(intrinsics.unproject(u as f32, v as f32, z));
                 labs.push(lab_of_srgb(block_mean(&colours, &frame.depth, u, v, stride)));
@@ -130,8 +130,33 @@ impl Surfaces {
     }
 }
 
+/// The depth of a pixel, or where it has none the mean of those around it, if there are enough and they are of one surface.
+///
+/// Depth that was warped into another camera is full of cracks a pixel wide; they are no borders.
+fn depth_or_bridge(depth: &DepthImage, u: u32, v: u32) -> f32 {
+    const REACH: u32 = 2;
+    /// Of the 24 pixels around.
+    const ENOUGH: usize = 8;
+    const ONE_SURFACE: f32 = 1.04;
+    let here = depth.at((u, v));
+    if here > 0.0 {
+        return here;
+    }
+    let span = |at: u32, len: u32| at.saturating_sub(REACH)..(at + REACH + 1).min(len);
+    let (mut sum, mut count, mut low, mut high) = (0.0, 0, f32::INFINITY, 0.0_f32);
+    for row in span(v, depth.height) {
+        for column in span(u, depth.width) {
+            let z = depth.at((column, row));
+            if z > 0.0 {
+                (sum, count, low, high) = (sum + z, count + 1, low.min(z), high.max(z));
+            }
+        }
+    }
+    if count >= ENOUGH && high <= ONE_SURFACE * low { sum / count as f32 } else { 0.0 }
+}
+
 /// Mean colour of a block of pixels: halves noise and texture before edges are looked for.
-fn block_mean(colours: &[[u8; 3]], depth: &crate::scene::DepthImage, u: u32, v: u32, stride: u32) -> [u8; 3] {
+fn block_mean(colours: &[[u8; 3]], depth: &DepthImage, u: u32, v: u32, stride: u32) -> [u8; 3] {
     let mut sum = [0_u32; 3];
     let mut count = 0;
     for row in v..(v + stride).min(depth.height) {
