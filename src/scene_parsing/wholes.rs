@@ -200,3 +200,72 @@ fn parts(cloud: &PointCloud, superpoints: &Superpoints, region_of: &[u32], progr
     }
     members.par_iter().map(|positions| progress.check().map(|()| Part::of(positions))).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::colour::Lab;
+    use crate::scene_parsing::superpoints::Patch;
+
+    /// A block from corner to corner, metres, sampled every two centimetres.
+    type Block = ([f32; 3], [f32; 3]);
+
+    /// Joins blocks of which these pairs touch; returns the whole of each.
+    fn joined(blocks: &[Block], adjacent: &[(u32, u32)]) -> Vec<u32> {
+        let (mut cloud, mut of_point) = (PointCloud::default(), Vec::new());
+        for (i, (low, high)) in blocks.iter().enumerate() {
+            let steps = |axis: usize| 0..=((high[axis] - low[axis]) / 0.02).round() as u32;
+            for x in steps(0) {
+                for y in steps(1) {
+                    for z in steps(2) {
+                        let at = |axis: usize, k: u32| low[axis] + k as f32 * 0.02;
+                        cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
+                        of_point.push(i as u32);
+                    }
+                }
+            }
+        }
+        let patch = Patch { points: 1, center: Point3::origin(), normal: Vector3::z(), lab: Lab::zeros() };
+        let superpoints =
+            Superpoints { of_point, patches: vec![patch; blocks.len()], adjacent: adjacent.to_vec(), roughness_m: vec![0.0; blocks.len()] };
+        join(&cloud, &superpoints, (0..blocks.len() as u32).collect(), &WholeSettings::default(), &Progress::silent()).unwrap()
+    }
+
+    const SEAT: Block = ([0.0, 0.0, 0.42], [0.44, 0.44, 0.46]);
+
+    #[test]
+    fn a_chair_is_one_thing() {
+        let leg = |x: f32, y: f32| ([x, y, 0.0], [x + 0.04, y + 0.04, 0.42]);
+        let back = ([0.0, 0.42, 0.46], [0.44, 0.46, 0.9]);
+        let parts = [SEAT, leg(0.0, 0.0), leg(0.4, 0.0), leg(0.0, 0.4), leg(0.4, 0.4), back];
+        assert_eq!(joined(&parts, &[(0, 1), (0, 2), (0, 3), (0, 4), (0, 5)]), [0; 6]);
+        assert_eq!(joined(&parts, &[]), [0, 1, 2, 3, 4, 5], "only what touches is joined");
+    }
+
+    #[test]
+    fn a_lamp_stands_on_its_pole_and_an_office_chair_on_its_foot() {
+        let lamp = [([-0.2, -0.2, 1.3], [0.2, 0.2, 1.6]), ([-0.01, -0.01, 0.1], [0.01, 0.01, 1.3])];
+        assert_eq!(joined(&lamp, &[(0, 1)]), [0, 0]);
+        let foot = ([0.16, 0.16, 0.0], [0.28, 0.28, 0.38]);
+        let cushion = ([0.0, 0.0, 0.38], [0.44, 0.44, 0.52]);
+        assert_eq!(joined(&[cushion, foot], &[(0, 1)]), [0, 0]);
+    }
+
+    #[test]
+    fn what_stands_on_a_table_stays_itself() {
+        let top = ([0.0, 0.0, 0.7], [1.4, 0.8, 0.74]);
+        let mug = ([0.6, 0.3, 0.74], [0.68, 0.38, 0.84]);
+        let bottle = ([0.2, 0.4, 0.74], [0.26, 0.46, 1.04]);
+        let monitor = ([0.4, 0.6, 0.74], [0.9, 0.64, 1.1]);
+        assert_eq!(joined(&[top, mug, bottle, monitor], &[(0, 1), (0, 2), (0, 3)]), [0, 1, 2, 3]);
+    }
+
+    #[test]
+    fn a_wall_is_no_back_and_a_cabinet_no_foot() {
+        let desk = ([0.0, 0.0, 0.7], [1.4, 0.7, 0.74]);
+        let wall = ([0.0, 0.7, 0.74], [1.4, 0.74, 2.4]);
+        assert_eq!(joined(&[desk, wall], &[(0, 1)]), [0, 1]);
+        let (cabinet, printer) = (([0.0, 0.0, 0.0], [0.5, 0.5, 0.6]), ([0.05, 0.05, 0.6], [0.45, 0.45, 0.8]));
+        assert_eq!(joined(&[cabinet, printer], &[(0, 1)]), [0, 1]);
+    }
+}

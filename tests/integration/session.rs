@@ -6,7 +6,7 @@ use reqwest::Method;
 use serde_json::json;
 use uniground::grounding::Status;
 use uniground::scene::InstanceId;
-use uniground::service::{SceneStatus, ShortlistRequest};
+use uniground::service::{SceneReport, SceneStatus, ShortlistRequest};
 use uniground::store::JobState;
 
 #[tokio::test]
@@ -156,6 +156,67 @@ async fn the_same_content_and_settings_are_parsed_once() {
     assert!(server.client.ground(&again.scene.id, &ask("the red sofa")).await.unwrap().aabb.is_some());
     server.client.delete_scene(&again.scene.id).await.unwrap();
     assert_eq!((server.stored("blobs/contents").len(), server.stored("blobs/parses").len()), (0, 0));
+    assert_eq!(server.stored("blobs/checkpoints").len(), 0, "what was kept for the next parse goes with the content");
+    server.stop().await;
+}
+
+fn reused(report: &SceneReport) -> Vec<&str> {
+    let stages = &report.parse.as_ref().unwrap().stages;
+    stages.iter().filter(|s| s.reused).map(|s| s.stage.as_str()).collect()
+}
+
+#[tokio::test]
+async fn the_report_tells_and_shows_what_every_stage_did() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let report = server.client.report(&scene.id).await.unwrap();
+    let stages: Vec<&str> = report.parse.as_ref().unwrap().stages.iter().map(|s| s.stage.as_str()).collect();
+    assert_eq!(stages, ["import", "superpoints", "masks_and_lifting", "merging", "wholes", "instances", "views"]);
+    assert!(report.parse.as_ref().unwrap().stages.iter().all(|s| s.produced > 0), "{report:?}");
+    assert_eq!((report.parse_version, reused(&report)), (1, vec![]));
+    let names: Vec<&str> = report.pictures.iter().map(|p| p.name.as_str()).collect();
+    assert_eq!(names, ["superpoints", "instances", "frame-1", "frame-2", "frame-3"]);
+    for picture in &report.pictures {
+        let bytes = server.client.bytes(picture.url.trim_start_matches('/')).await.unwrap();
+        let image = image::load_from_memory(&bytes).unwrap().into_rgb8();
+        let first = *image.get_pixel(0, 0);
+        assert!(image.pixels().any(|p| *p != first), "{} is blank", picture.name);
+    }
+    let wrong = server.client.bytes(&format!("v1/scenes/{}/report/..%2Findex.jpg", scene.id)).await;
+    assert_eq!(problem(wrong).code, "report_picture_not_found");
+
+    // Settings of a late stage: what came before is taken as it was.
+    let job = server
+        .client
+        .parse(&scene.id, &json!({"settings": {"parsing": {"merging": {"min_points": 60}}}}))
+        .await
+        .unwrap();
+    assert_eq!(finished(&server.client, &job.id).await.state, JobState::Succeeded);
+    let again = server.client.report(&scene.id).await.unwrap();
+    assert_eq!((again.parse_version, reused(&again)), (2, vec!["import", "superpoints", "masks_and_lifting"]));
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_cancelled_job_started_again_goes_on_where_it_stopped() {
+    let server = TestServer::start().await;
+    let sample = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
+    let created = server.client.create_scene(None, "application/zip", sample).await.unwrap();
+    let id = created.job.unwrap().id;
+    // Wait until frames are looked at: what comes before is done by then.
+    loop {
+        let job = server.client.job(&id).await.unwrap();
+        assert!(!job.state.is_final(), "the parse was over before it could be cancelled: {job:?}");
+        if job.stage.as_deref() == Some("masks_and_lifting") {
+            break;
+        }
+    }
+    server.client.cancel_job(&id).await.unwrap();
+    assert_eq!(finished(&server.client, &id).await.state, JobState::Cancelled);
+    let job = server.client.parse(&created.scene.id, &json!({})).await.unwrap();
+    assert_eq!(finished(&server.client, &job.id).await.state, JobState::Succeeded);
+    let report = server.client.report(&created.scene.id).await.unwrap();
+    assert_eq!(reused(&report)[..2], ["import", "superpoints"]);
     server.stop().await;
 }
 

