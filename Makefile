@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: demo serve test lint fmt bench openapi schemathesis clean
+.PHONY: demo serve test lint fmt bench bench-quality bench-superpoints bench-scale openapi schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -24,6 +24,18 @@ fmt:
 
 bench: ## Timings of the pipelines, questions over HTTP, memory of a 1 GB upload
 	$(CARGO) bench --locked
+
+bench-quality: ## Superpoints and instances against annotated rooms (ROOMS=folder)
+	$(CARGO) bench --locked --quiet --bench quality -- $(ROOMS)
+
+bench-superpoints: ## Superpoints beside PCL's VCCS, alternating (needs a C++ compiler and Debian's libpcl-dev)
+	mkdir -p target/peers
+	$(CXX) -O2 benches/peers/vccs.cpp -o target/peers/vccs -I/usr/include/pcl-1.13 -I/usr/include/eigen3 \
+		-lpcl_segmentation -lpcl_search -lpcl_common -lpcl_octree -lpcl_kdtree
+	$(CARGO) bench --locked --quiet --bench superpoints -- --pcl target/peers/vccs $(ROOMS)
+
+bench-scale: ## Stage 1 on one to eight rooms side by side, and how soon it stops
+	$(CARGO) bench --locked --quiet --bench scale -- $(ROOMS)
 
 openapi: ## Regenerate the committed description
 	$(CARGO) run --release --locked --quiet -- openapi > openapi/openapi.json

@@ -44,6 +44,10 @@ fn options() -> Options {
 
 fn main() {
     let Options { folder, settings, misses } = options();
+    if !folder.join("room1.zip").exists() {
+        println!("left out: no annotated rooms in {folder}");
+        return;
+    }
     let mut superpoint_table = table(&["room", "points", "superpoints", "purity", "achievable mIoU"]);
     let mut instance_table =
         table(&["room", "masks", "turned", "instances", "box .25", "box .5", "points .25", "points .5", "AP50", "seconds"]);

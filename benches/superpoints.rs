@@ -31,6 +31,10 @@ fn main() {
             other => folder = other.into(),
         }
     }
+    if !folder.join("room1.zip").exists() {
+        println!("left out: no annotated rooms in {folder}");
+        return;
+    }
     let temporary = tempfile::tempdir().unwrap();
     let scratch = Utf8Path::from_path(temporary.path()).unwrap();
     let room = Room::load(&folder, "room1", scratch).unwrap();

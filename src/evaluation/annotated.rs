@@ -164,7 +164,7 @@ impl Annotations {
     }
 
     fn masks(&self, cloud: &PointCloud) -> AnnotatedMasks {
-        let mut near: VoxelMap<Vec<(Point3<f32>, u32)>> = VoxelMap::default();
+        let mut near: VoxelMap<Vec<LabelledPoint>> = VoxelMap::default();
         if let Some(of_point) = self.of_point.as_ref().filter(|ids| ids.len() == cloud.len()) {
             for (p, &id) in cloud.positions.iter().zip(of_point) {
                 near.entry(VoxelKey::of(p, NEAR_M)).or_default().push((*p, id));
@@ -206,6 +206,9 @@ impl SceneObject {
     }
 }
 
+/// A point and the object it belongs to.
+type LabelledPoint = (Point3<f32>, u32);
+
 /// Points this near lend their annotation to a pixel, metres.
 const NEAR_M: f32 = 0.03;
 
@@ -214,7 +217,7 @@ const NEAR_M: f32 = 0.03;
 #[derive(Clone)]
 pub struct AnnotatedMasks {
     annotations: Arc<Annotations>,
-    near: Arc<VoxelMap<Vec<(Point3<f32>, u32)>>>,
+    near: Arc<VoxelMap<Vec<LabelledPoint>>>,
 }
 
 impl AnnotatedMasks {

@@ -1,7 +1,7 @@
 //! Measures of a segmented cloud: superpoints against annotated points, instances against annotated objects.
 
 use crate::geometry::boxes::Aabb;
-use crate::scene::{InstanceId, ParsedScene};
+use crate::scene::{Instance, InstanceId, ParsedScene};
 use std::collections::BTreeMap;
 
 /// The two IoU thresholds the field quotes.
@@ -110,12 +110,9 @@ pub fn score_instances(scene: &ParsedScene, objects: &[AnnotatedObject], truth: 
         let all = u64::from(scene.instances[instance.0 as usize - 1].point_count) + annotated.get(&object).copied().unwrap_or(0);
         both as f32 / (all - both).max(1) as f32
     };
-    let best = |object: &AnnotatedObject, of: &dyn Fn(usize) -> f32| {
-        let _ = object;
-        (0..scene.instances.len()).map(of).fold(0.0, f32::max)
-    };
-    let box_iou = objects.iter().map(|o| best(o, &|i| scene.instances[i].aabb.iou(&o.aabb))).collect();
-    let point_iou: Vec<f32> = objects.iter().map(|o| best(o, &|i| iou(InstanceId(i as u32 + 1), o.id))).collect();
+    let best = |of: &dyn Fn(&Instance) -> f32| scene.instances.iter().map(of).fold(0.0, f32::max);
+    let box_iou = objects.iter().map(|o| best(&|i| i.aabb.iou(&o.aabb))).collect();
+    let point_iou = objects.iter().map(|o| best(&|i| iou(i.id, o.id))).collect();
 
     // Instances are numbered by falling points: that is their rank.
     let wanted: BTreeMap<u32, usize> = objects.iter().enumerate().map(|(i, o)| (o.id, i)).collect();

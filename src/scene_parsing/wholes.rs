@@ -67,51 +67,57 @@ pub fn join(
     if !settings.enabled {
         return Ok(region_of);
     }
-    let legs = |part: &Part, other: &Part| settings.is_leg(part) && carries(part, other);
-    let backs = |part: &Part, other: &Part| settings.is_back(part, other);
-    let feet = |part: &Part, other: &Part| is_foot(part, other);
-    let rules: [&(dyn Fn(&Part, &Part) -> bool + Sync); 3] = [&legs, &backs, &feet];
-    let mut region_of = region_of;
-    for rule in rules {
-        region_of = apply(cloud, superpoints, region_of, settings, rule, progress)?;
-    }
-    Ok(region_of)
+    let parts = Joining { cloud, superpoints, settings, progress };
+    let region_of = parts.join_by(region_of, |part, whole| settings.is_leg(part) && carries(part, whole))?;
+    let region_of = parts.join_by(region_of, |part, whole| settings.is_back(part, whole))?;
+    parts.join_by(region_of, is_foot)
 }
 
-/// Every region joins the neighbour it shares most border with among those of which it is a part by `rule`.
-fn apply(
-    cloud: &PointCloud,
-    superpoints: &Superpoints,
-    region_of: Vec<u32>,
-    settings: &WholeSettings,
-    rule: &(dyn Fn(&Part, &Part) -> bool + Sync),
-    progress: &Progress,
-) -> Result<Vec<u32>, Cancelled> {
-    let parts = parts(cloud, superpoints, &region_of, progress)?;
-    let mut contacts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
-    for &(a, b) in &superpoints.adjacent {
-        let (a, b) = (region_of[a as usize], region_of[b as usize]);
-        if a != b {
-            *contacts.entry((a, b)).or_default() += 1;
-            *contacts.entry((b, a)).or_default() += 1;
+struct Joining<'a> {
+    cloud: &'a PointCloud,
+    superpoints: &'a Superpoints,
+    settings: &'a WholeSettings,
+    progress: &'a Progress,
+}
+
+impl Joining<'_> {
+    /// Every region joins the neighbour it shares most border with among those of which it is a part by `rule`.
+    fn join_by(&self, region_of: Vec<u32>, rule: impl Fn(&Part, &Part) -> bool) -> Result<Vec<u32>, Cancelled> {
+        let parts = self.parts(&region_of)?;
+        let mut contacts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
+        for &(a, b) in &self.superpoints.adjacent {
+            let (a, b) = (region_of[a as usize], region_of[b as usize]);
+            if a != b {
+                *contacts.entry((a, b)).or_default() += 1;
+                *contacts.entry((b, a)).or_default() += 1;
+            }
         }
-    }
-    let furniture = |part: &Part| part.footprint.size.max() <= settings.longest_m;
-    let mut best: BTreeMap<u32, (u32, std::cmp::Reverse<u32>)> = BTreeMap::new();
-    for (&(a, b), &n) in &contacts {
-        let (part, whole) = (&parts[a as usize], &parts[b as usize]);
-        if furniture(part) && furniture(whole) && rule(part, whole) {
-            let offer = (n, std::cmp::Reverse(b));
-            let seat = best.entry(a).or_insert(offer);
-            *seat = (*seat).max(offer);
+        let furniture = |part: &Part| part.footprint.size.max() <= self.settings.longest_m;
+        let mut best: BTreeMap<u32, (u32, std::cmp::Reverse<u32>)> = BTreeMap::new();
+        for (&(a, b), &n) in &contacts {
+            let (part, whole) = (&parts[a as usize], &parts[b as usize]);
+            if furniture(part) && furniture(whole) && rule(part, whole) {
+                let offer = (n, std::cmp::Reverse(b));
+                let seat = best.entry(a).or_insert(offer);
+                *seat = (*seat).max(offer);
+            }
         }
+        let mut sets = UnionFind::new(parts.len());
+        for (part, (_, std::cmp::Reverse(whole))) in best {
+            sets.union(part, whole);
+        }
+        let (labels, _) = sets.into_labels();
+        Ok(region_of.into_iter().map(|r| labels[r as usize]).collect())
     }
-    let mut sets = UnionFind::new(parts.len());
-    for (part, (_, std::cmp::Reverse(whole))) in best {
-        sets.union(part, whole);
+
+    fn parts(&self, region_of: &[u32]) -> Result<Vec<Part>, Cancelled> {
+        let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
+        let mut members: Vec<Vec<Point3<f32>>> = vec![Vec::new(); count];
+        for (p, &superpoint) in self.cloud.positions.iter().zip(&self.superpoints.of_point) {
+            members[region_of[superpoint as usize] as usize].push(*p);
+        }
+        members.par_iter().map(|positions| self.progress.check().map(|()| Part::of(positions))).collect()
     }
-    let (labels, _) = sets.into_labels();
-    Ok(region_of.into_iter().map(|r| labels[r as usize]).collect())
 }
 
 impl WholeSettings {
@@ -190,15 +196,6 @@ impl Part {
         let (x, y) = (self.footprint.size.x, self.footprint.size.y);
         (x / u.abs().max(1e-6)).min(y / v.abs().max(1e-6))
     }
-}
-
-fn parts(cloud: &PointCloud, superpoints: &Superpoints, region_of: &[u32], progress: &Progress) -> Result<Vec<Part>, Cancelled> {
-    let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
-    let mut members: Vec<Vec<Point3<f32>>> = vec![Vec::new(); count];
-    for (p, &superpoint) in cloud.positions.iter().zip(&superpoints.of_point) {
-        members[region_of[superpoint as usize] as usize].push(*p);
-    }
-    members.par_iter().map(|positions| progress.check().map(|()| Part::of(positions))).collect()
 }
 
 #[cfg(test)]
