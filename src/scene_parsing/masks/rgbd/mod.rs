@@ -64,7 +64,7 @@ pub struct RgbdMasks {
 
 impl MaskSource for RgbdMasks {
     fn name(&self) -> &'static str {
-        "rgbd-1"
+        "rgbd-2"
     }
 
     fn masks(&self, frame: &Frame) -> IdImage {
