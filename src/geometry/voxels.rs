@@ -16,7 +16,7 @@ impl VoxelKey {
     /// The voxel of edge `voxel_m` that holds `p`; coordinates beyond ±2^20 voxels are clamped to the rim.
     #[must_use]
     pub fn of(p: &Point3<f32>, voxel_m: f32) -> Self {
-        Self::pack([p.x, p.y, p.z].map(|c| (c / voxel_m).floor() as i64))
+        Self::pack([p.x, p.y, p.z].map(|c| floor(c / voxel_m)))
     }
 
     fn pack(cell: [i64; 3]) -> Self {
@@ -31,12 +31,30 @@ impl VoxelKey {
         Self::pack(std::array::from_fn(|i| cell[i] as i64 - BIAS + d[i]))
     }
 
+    /// An offset in voxels as one number to add: see [`stepped`](Self::stepped).
+    #[must_use]
+    pub const fn step([x, y, z]: [i64; 3]) -> i64 {
+        (x << 42) + (y << 21) + z
+    }
+
+    /// The key a [`step`](Self::step) away. Faster than [`offset`](Self::offset); beyond the rim it is some other key.
+    #[must_use]
+    pub const fn stepped(self, step: i64) -> Self {
+        Self((self.0 as i64).wrapping_add(step) as u64)
+    }
+
     /// Centre of the voxel, metres.
     #[must_use]
     pub fn center(self, voxel_m: f32) -> Point3<f32> {
         let at = |shift: u32| ((self.0 >> shift & MASK) as i64 - BIAS) as f32 * voxel_m + voxel_m / 2.0;
         Point3::new(at(42), at(21), at(0))
     }
+}
+
+/// `value.floor() as i64`, without the call into the C library the oldest x86-64 processors need for it.
+fn floor(value: f32) -> i64 {
+    let towards_zero = value as i64;
+    towards_zero - i64::from((towards_zero as f32) > value)
 }
 
 /// A multiplicative hasher for packed keys: they are already well spread and hostile input costs only time.
@@ -120,8 +138,8 @@ impl VoxelGrid {
     /// Along Z neighbours have consecutive keys, and as voxels ascend so do the keys of the nine columns around them: nine
     /// cursors sweep the sorted keys once, and nothing is looked up.
     fn neighbours_of(&self, voxels: std::ops::Range<usize>) -> (Vec<u32>, Vec<u32>) {
-        let columns: [i64; 9] = std::array::from_fn(|i| (i as i64 / 3 - 1) * (1 << 42) + (i as i64 % 3 - 1) * (1 << 21));
-        let lowest = |voxel: usize, column: i64| VoxelKey((self.keys[voxel].0 as i64 + column - 1) as u64);
+        let columns: [i64; 9] = std::array::from_fn(|i| VoxelKey::step([i as i64 / 3 - 1, i as i64 % 3 - 1, -1]));
+        let lowest = |voxel: usize, column: i64| self.keys[voxel].stepped(column);
         let mut cursors = columns.map(|column| self.keys.partition_point(|&k| k < lowest(voxels.start, column)));
         let (mut counts, mut list) = (Vec::with_capacity(voxels.len()), Vec::with_capacity(voxels.len() * 10));
         for voxel in voxels {

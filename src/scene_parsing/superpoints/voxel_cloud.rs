@@ -4,7 +4,7 @@ use super::Patch;
 use crate::geometry::colour::{Lab, lab_of_srgb};
 use crate::geometry::least_axis::least_axis;
 use crate::geometry::union_find::UnionFind;
-use crate::geometry::voxels::{Neighbours, VoxelGrid};
+use crate::geometry::voxels::{Neighbours, VoxelGrid, VoxelKey};
 use crate::geometry::{Matrix3, Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::PointCloud;
@@ -104,6 +104,7 @@ impl VoxelCloud {
     /// second. Nearest are the 26 around, and in sparse places (thin legs, gaps in the scan) wider rings until
     /// [`NEAREST`] are found: a hole in a scan must not cut an object in two.
     pub fn adjacent_labels(&self, labels: &[u32]) -> Vec<(u32, u32)> {
+        let rings: Vec<Vec<i64>> = (2..=WIDEST_RING).map(ring).collect();
         let chunk_pairs = |voxels: &[u32]| {
             // Neighbouring voxels see the same pairs again and again: a small table of those seen last keeps the list short.
             let mut seen = [(u32::MAX, u32::MAX); 256];
@@ -119,7 +120,11 @@ impl VoxelCloud {
             for &v in voxels {
                 let (own, around) = (labels[v as usize], self.neighbours(v));
                 around.iter().for_each(|&n| note(own, labels[n as usize]));
-                self.rings_beyond(v as usize, around.len()).into_iter().for_each(|n| note(own, labels[n as usize]));
+                // Only where a patch ends without touching another is there a gap to look across.
+                if around.iter().any(|&n| labels[n as usize] != own) {
+                    continue;
+                }
+                self.rings_beyond(v, around.len(), &rings).into_iter().for_each(|n| note(own, labels[n as usize]));
             }
             pairs
         };
@@ -131,15 +136,14 @@ impl VoxelCloud {
     }
 
     /// Voxels of the rings from the second on, ring by ring until there are [`NEAREST`] of them together with `found` nearer ones.
-    fn rings_beyond(&self, v: usize, mut found: usize) -> Vec<u32> {
+    fn rings_beyond(&self, v: u32, mut found: usize, rings: &[Vec<i64>]) -> Vec<u32> {
         let mut voxels = Vec::new();
-        for ring in 2..=WIDEST_RING {
+        for ring in rings {
             if found >= NEAREST {
                 break;
             }
             let before = voxels.len();
-            let shell = shell(ring).filter_map(|d| self.grid.get(self.grid.keys[v].offset(d)));
-            voxels.extend(shell);
+            voxels.extend(ring.iter().filter_map(|&step| self.grid.get(self.grid.keys[v as usize].stepped(step))));
             found += voxels.len() - before;
         }
         voxels
@@ -151,13 +155,11 @@ const NEAREST: usize = 8;
 /// How many voxels away a neighbour may be.
 const WIDEST_RING: i64 = 4;
 
-/// Offsets whose largest component is `ring`.
-fn shell(ring: i64) -> impl Iterator<Item = [i64; 3]> {
-    let span = -ring..=ring;
-    span.clone()
-        .flat_map(move |x| (-ring..=ring).map(move |y| (x, y)))
-        .flat_map(move |(x, y)| (-ring..=ring).map(move |z| [x, y, z]))
-        .filter(move |d| d.iter().any(|c| c.abs() == ring))
+/// Steps to the voxels whose largest offset is `ring`.
+fn ring(ring: i64) -> Vec<i64> {
+    let side = 2 * ring + 1;
+    let offsets = (0..side.pow(3)).map(|i| [i / side / side - ring, i / side % side - ring, i % side - ring]);
+    offsets.filter(|d| d.iter().any(|c| c.abs() == ring)).map(VoxelKey::step).collect()
 }
 
 /// Moments and mean colour of the points of each voxel, each voxel's points in their order.
