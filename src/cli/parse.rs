@@ -8,7 +8,7 @@ use crate::scene::{ImportReport, Instance, ParseReport, write_instances_ply};
 use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::scene_parsing::report_pictures;
 use crate::service::{ParsePreset, ParseSettings, ParsedScan, parse_scan};
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Serialize;
 use std::fs::{self, File};
@@ -58,6 +58,11 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     };
     let mut settings = ParseSettings::from_request(args.preset, overrides)?;
     settings.import.up = args.up.or(settings.import.up);
+    if let Some(out) = &args.report {
+        ensure!(!out.as_str().is_empty(), "--report: the folder's name is empty");
+        fs::create_dir_all(out).with_context(|| format!("--report {out}"))?;
+    }
+    ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
     let unpacked = tempfile::tempdir()?;
     let folder = if args.scan.is_dir() { args.scan.clone() } else { unpack_archive(&args.scan, unpacked.path().try_into()?)? };
 
@@ -68,7 +73,6 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
 
     let report = Report { import: &import, parse: &parsed.report };
     if let Some(out) = &args.report {
-        fs::create_dir_all(out)?;
         fs::write(out.join("report.json"), serde_json::to_vec_pretty(&report)?)?;
         fs::write(out.join("instances.json"), serde_json::to_vec_pretty(&parsed.instances)?)?;
         write_instances_ply(&parsed, File::create(out.join("instances.ply"))?)?;

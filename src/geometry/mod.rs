@@ -6,6 +6,7 @@
 pub mod boxes;
 pub mod colour;
 pub mod least_axis;
+pub mod moments;
 pub mod pose;
 pub mod statistics;
 pub mod union_find;

@@ -182,14 +182,23 @@ fn distinct(mut keys: Vec<VoxelKey>) -> Vec<VoxelKey> {
     keys
 }
 
-/// Cells the surface of a cloud is measured with, metres.
+/// Cells the surface of a cloud is measured with first, metres.
 const AREA_CELL_M: f32 = 0.1;
+/// A cell that holds fewer points on average says nothing of the surface: larger ones are tried.
+const POINTS_PER_CELL: usize = 3;
 
 /// Typical distance between neighbouring points on their surface, metres: the side of the square each point stands for.
 #[must_use]
 pub fn typical_spacing_m(points: &[Point3<f32>]) -> f32 {
-    let cells = distinct(points.par_iter().map(|p| VoxelKey::of(p, AREA_CELL_M)).collect());
-    (cells.len() as f32 * AREA_CELL_M * AREA_CELL_M / points.len().max(1) as f32).sqrt()
+    const LARGEST_CELL_M: f32 = 1000.0;
+    let mut cell_m = AREA_CELL_M;
+    loop {
+        let cells = distinct(points.par_iter().map(|p| VoxelKey::of(p, cell_m)).collect()).len();
+        if cells * POINTS_PER_CELL <= points.len() || cells <= 1 || cell_m > LARGEST_CELL_M {
+            return (cells as f32 * cell_m * cell_m / points.len().max(1) as f32).sqrt();
+        }
+        cell_m *= 2.0;
+    }
 }
 
 /// Offsets of the 26 voxels around one.
@@ -242,6 +251,8 @@ mod tests {
             .flat_map(|i| (0..200).map(move |j| Point3::new(i as f32 * 0.02, j as f32 * 0.02, 0.51)))
             .collect();
         assert!((typical_spacing_m(&plane) - 0.02).abs() < 0.002, "{}", typical_spacing_m(&plane));
+        let sparse: Vec<_> = plane.iter().map(|p| p * 100.0).collect();
+        assert!((typical_spacing_m(&sparse) - 2.0).abs() < 0.4, "{}", typical_spacing_m(&sparse));
     }
 
     #[test]

@@ -68,7 +68,9 @@ fn calibrated(camera: &Camera, points: &[Point3<f32>]) -> Intrinsics {
         }
     }
     let room = 1.0 - 2.0 * MARGIN;
-    let focal = (wide.width as f32 * room / (high[0] - low[0])).min(wide.height as f32 * room / (high[1] - low[1]));
+    // A scene of one point has no width: some picture of it is better than none.
+    let spread = |axis: usize| (high[axis] - low[axis]).max(1e-3);
+    let focal = (wide.width as f32 * room / spread(0)).min(wide.height as f32 * room / spread(1));
     let shift = |size: u32, axis: usize| (size as f32 - 1.0) / 2.0 - focal * f32::midpoint(low[axis], high[axis]);
     Intrinsics { fx: focal, fy: focal, cx: shift(wide.width, 0), cy: shift(wide.height, 1), ..wide }
 }

@@ -32,7 +32,7 @@ impl Checkpoints {
         Self::default()
     }
 
-    /// Logs in `folder`, made on demand; valid for this `origin` only.
+    /// Logs in `folder`, which exists; valid for this `origin` only. Once the folder is gone nothing more is kept.
     #[must_use]
     pub fn kept_in(folder: &Utf8Path, origin: &str) -> Self {
         Self { place: Some(Place { folder: folder.to_owned(), origin: origin.to_owned() }) }
@@ -88,7 +88,6 @@ impl<T: Serialize + DeserializeOwned> Log<T> {
     }
 
     fn open(folder: &Utf8Path, stage: &str, key: &str) -> io::Result<Self> {
-        fs::create_dir_all(folder)?;
         let name = format!("{stage}-{key}.log");
         for entry in folder.read_dir_utf8()? {
             let entry = entry?;

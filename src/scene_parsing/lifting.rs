@@ -51,8 +51,8 @@ impl Lifting<'_> {
         progress: &Progress,
     ) -> Result<(Vec<FrameVisibility>, bool), ParseError> {
         let mut tables = log.kept();
-        tables.truncate(frames.len());
-        let kept = tables.len();
+        let kept = tables.iter().zip(frames).take_while(|(table, frame)| table.frame == frame.index).count();
+        tables.truncate(kept);
         stream_frames(
             &frames[kept..],
             |frame| {

@@ -54,14 +54,13 @@ pub fn sightings(cloud: &PointCloud, instance_of_point: &[InstanceId], frame: &F
             let bound =
                 |of: &dyn Fn(&(InstanceId, f32, f32)) -> f32, q| quantile(&mut hits.iter().map(of).collect::<Vec<_>>(), q).unwrap_or(0.0);
             let (u, v) = (|hit: &(InstanceId, f32, f32)| hit.1, |hit: &(InstanceId, f32, f32)| hit.2);
-            let low = |at: f32, len: u32| at.floor().clamp(0.0, len as f32 - 1.0) as u32;
-            let high = |at: f32, len: u32| at.ceil().clamp(1.0, len as f32) as u32;
-            let box_px = [
-                low(bound(&u, TRIM), width),
-                low(bound(&v, TRIM), height),
-                high(bound(&u, 1.0 - TRIM), width),
-                high(bound(&v, 1.0 - TRIM), height),
-            ];
+            // At least one pixel each way, inside the picture.
+            let span = |of: &dyn Fn(&(InstanceId, f32, f32)) -> f32, len: u32| {
+                let low = bound(of, TRIM).floor().clamp(0.0, len as f32 - 1.0) as u32;
+                (low, (bound(of, 1.0 - TRIM).ceil() as u32).clamp(low + 1, len))
+            };
+            let ((left, right), (top, bottom)) = (span(&u, width), span(&v, height));
+            let box_px = [left, top, right, bottom];
             Sighting { instance: hits[0].0, view: View { frame: frame.index, visible_points: hits.len() as u32, box_px } }
         })
         .collect()

@@ -6,9 +6,10 @@
 
 use super::superpoints::Superpoints;
 use crate::geometry::boxes::{Aabb, OrientedBox};
+use crate::geometry::moments::Moments;
 use crate::geometry::statistics::quantile;
 use crate::geometry::union_find::UnionFind;
-use crate::geometry::{Matrix3, Point3, Vector3};
+use crate::geometry::{Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::PointCloud;
 use nalgebra::SymmetricEigen;
@@ -67,6 +68,7 @@ pub fn join(
     if !settings.enabled {
         return Ok(region_of);
     }
+    progress.report("join_parts", 0.0)?;
     let parts = Joining { cloud, superpoints, settings, progress };
     let region_of = parts.join_by(region_of, |part, whole| settings.is_leg(part) && carries(part, whole))?;
     let region_of = parts.join_by(region_of, |part, whole| settings.is_back(part, whole))?;
@@ -164,12 +166,7 @@ impl Part {
     fn of(positions: &[Point3<f32>]) -> Self {
         /// Share of the points left out at either end: strays must not make a leg thick.
         const TRIM: f32 = 0.02;
-        let n = positions.len().max(1) as f32;
-        let mean = positions.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / n;
-        let scatter = positions
-            .iter()
-            .fold(Matrix3::zeros(), |sum, p| sum + (p.coords - mean) * (p.coords - mean).transpose());
-        let axes = SymmetricEigen::new(scatter).eigenvectors;
+        let axes = SymmetricEigen::new(Moments::of(positions).covariance).eigenvectors;
         let range = |of: &dyn Fn(&Point3<f32>) -> f32| {
             let mut values: Vec<f32> = positions.iter().map(of).collect();
             let (lo, hi) = (quantile(&mut values, TRIM).unwrap_or(0.0), quantile(&mut values, 1.0 - TRIM).unwrap_or(0.0));
@@ -185,7 +182,13 @@ impl Part {
         let ground: Vec<_> = positions.iter().map(Point3::xy).collect();
         let flat = OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 };
         let footprint = OrientedBox::min_area(&ground, bounds[2]).unwrap_or(flat);
-        Self { points: n, aabb, footprint, extents: extents.map(|e| e.0), normal: axes.column(extents[2].1).into_owned() }
+        Self {
+            points: positions.len() as f32,
+            aabb,
+            footprint,
+            extents: extents.map(|e| e.0),
+            normal: axes.column(extents[2].1).into_owned(),
+        }
     }
 
     /// Extent of the footprint along a horizontal direction, metres.

@@ -11,7 +11,7 @@ use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::scene_parsing::evidence::{EvidencePicture, Picture};
 use crate::scene_parsing::masks::MaskSource;
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
-use crate::scene_parsing::{self, Outcome, ParsingSettings, Stopwatch, evidence, report_pictures};
+use crate::scene_parsing::{self, Outcome, ParseError, ParsingSettings, Stopwatch, evidence, report_pictures};
 use crate::store::{NewParse, SceneRow, Scratch};
 use camino::{Utf8Path, Utf8PathBuf};
 use futures::FutureExt;
@@ -76,7 +76,7 @@ impl ParseSettings {
         };
         let mut merged = serde_json::to_value(base)?;
         if let Some(overrides) = overrides {
-            merge(&mut merged, overrides);
+            merge(&mut merged, overrides, "/settings")?;
         }
         let settings: Self = serde_path_to_error::deserialize(merged).map_err(|e| {
             let pointer = e.path().iter().map(|segment| format!("/{segment}")).collect::<String>();
@@ -115,16 +115,19 @@ impl ParseSettings {
     }
 }
 
-/// Replaces values in `base` by those of `over`, object by object.
-fn merge(base: &mut serde_json::Value, over: serde_json::Value) {
+/// Replaces values in `base` by those of `over`, object by object. A list is no object, though serde would take it for one.
+fn merge(base: &mut serde_json::Value, over: serde_json::Value, pointer: &str) -> Result<(), Error> {
     match (base, over) {
         (serde_json::Value::Object(base), serde_json::Value::Object(over)) => {
             for (key, value) in over {
-                merge(base.entry(key).or_insert(serde_json::Value::Null), value);
+                let pointer = format!("{pointer}/{key}");
+                merge(base.entry(key).or_insert(serde_json::Value::Null), value, &pointer)?;
             }
         }
+        (serde_json::Value::Object(_), _) => return Err(Error::invalid(pointer, "must be an object")),
         (base, over) => *base = over,
     }
+    Ok(())
 }
 
 /// What the blocking part of a parse produces.
@@ -210,8 +213,11 @@ impl Service {
             return Ok("the stored parse of the same content and settings is used".into());
         }
         let (content, scratch) = (self.store.blobs.content(&scene.content_hash), self.store.blobs.scratch()?);
-        let origin = format!("{STAGE_1_VERSION} {}", scene.content_hash);
-        let checkpoints = Checkpoints::kept_in(&self.store.blobs.checkpoints(&scene.content_hash), &origin);
+        // Every stage works on what the import made of the content.
+        let origin = serde_json::to_string(&(STAGE_1_VERSION, &scene.content_hash, &settings.import))?;
+        let kept_in = self.store.blobs.checkpoints(&scene.content_hash);
+        fs::create_dir_all(&kept_in)?;
+        let checkpoints = Checkpoints::kept_in(&kept_in, &origin);
         let job_settings = settings.clone();
         let Finished { import, parsed, blobs } =
             spawn_blocking(move || parse_content(&content, &job_settings, &checkpoints, scratch, &progress)).await??;
@@ -271,7 +277,7 @@ pub fn parse_scan(
             let bundle = ingest::load(&ingest::open(content)?, &settings.import, &progress.part(0.0, 0.25))?;
             Ok::<_, Error>(bundle.with_paths(|path| path.strip_prefix(content).unwrap_or(path).to_owned()))
         };
-        let (bundle, reused) = checkpoints.once("import", &settings.import, load)?;
+        let (bundle, reused) = checkpoints.once("import", &(), load)?;
         *outcome = Outcome { produced: bundle.cloud.len(), reused };
         Ok::<_, Error>(bundle.with_paths(|path| content.join(path)))
     })?;
@@ -291,12 +297,16 @@ fn parse_content(
     progress: &Progress,
 ) -> Result<Finished, Error> {
     let ParsedScan { import, frames, scene: parsed } = parse_scan(content, settings, checkpoints, &progress.part(0.0, 0.8))?;
+    let writing = progress.part(0.8, 0.85);
+    writing.report("write_clouds", 0.0).map_err(ParseError::from)?;
     write_cloud_ply(&parsed.cloud, File::create(blobs.path().join("cloud.ply"))?)?;
     write_instances_ply(&parsed, File::create(blobs.path().join("instances.ply"))?)?;
-    reports::write_pictures(blobs.path(), report_pictures::render(&parsed, &frames, progress)?)?;
+    writing.report("draw_report", 0.5).map_err(ParseError::from)?;
+    reports::write_pictures(blobs.path(), report_pictures::render(&parsed, &frames, &writing)?)?;
+    writing.check().map_err(ParseError::from)?;
     let views = blobs.path().join("views");
     fs::create_dir(&views)?;
-    evidence::render(&frames, &parsed.instances, &progress.part(0.8, 1.0), |EvidencePicture { instance, view, picture, jpeg }| {
+    evidence::render(&frames, &parsed.instances, &progress.part(0.85, 1.0), |EvidencePicture { instance, view, picture, jpeg }| {
         Ok::<_, Error>(fs::write(views.join(view_file(instance.0, view, picture)), jpeg)?)
     })?;
     Ok(Finished { import, parsed, blobs })
@@ -331,6 +341,8 @@ mod tests {
             (json!({"parsing": {"superpoint": {}}}), "/settings/parsing"),
             (json!({"import": {"fusion": {"voxel_m": 0}}}), "/settings/import/fusion/voxel_m"),
             (json!(7), "/settings"),
+            (json!([]), "/settings"),
+            (json!({"parsing": {"superpoints": [0.05, 0.3]}}), "/settings/parsing/superpoints"),
         ] {
             let Err(Error::Invalid { pointer, .. }) = ParseSettings::from_request(ParsePreset::Default, Some(overrides.clone())) else {
                 panic!("{overrides} was accepted")

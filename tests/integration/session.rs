@@ -194,6 +194,18 @@ async fn the_report_tells_and_shows_what_every_stage_did() {
     assert_eq!(finished(&server.client, &job.id).await.state, JobState::Succeeded);
     let again = server.client.report(&scene.id).await.unwrap();
     assert_eq!((again.parse_version, reused(&again)), (2, vec!["import", "superpoints", "masks_and_lifting"]));
+
+    // Another import makes another cloud: nothing of the first fits it.
+    let job = server
+        .client
+        .parse(&scene.id, &json!({"settings": {"import": {"fusion": {"voxel_m": 0.03}}}}))
+        .await
+        .unwrap();
+    let job = finished(&server.client, &job.id).await;
+    assert_eq!((job.state, job.error), (JobState::Succeeded, None));
+    let coarser = server.client.report(&scene.id).await.unwrap();
+    assert_eq!((coarser.parse_version, reused(&coarser)), (3, vec![]));
+    assert!(coarser.parse.unwrap().points < again.parse.unwrap().points);
     server.stop().await;
 }
 

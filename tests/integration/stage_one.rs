@@ -194,6 +194,23 @@ fn a_cancelled_parse_goes_on_where_it_stopped() {
     assert_ne!(parsed.instances.len(), never_stopped.instances.len());
 }
 
+/// Whatever happened to a log, a frame's masks are never taken for another's.
+#[test]
+fn kept_frames_must_be_those_of_the_scan() {
+    let (scan, kept) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+    let mut bundle = sample_scan(Utf8Path::from_path(scan.path()).unwrap());
+    let checkpoints = Checkpoints::kept_in(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
+    let frames_segmented = |bundle: &SceneBundle| {
+        let watched = Watched::new(usize::MAX, CancellationToken::new());
+        scene_parsing::parse(bundle.clone(), &watched, &ParsingSettings::default(), &checkpoints, &Progress::silent()).unwrap();
+        watched.seen()
+    };
+    let all = bundle.frames.len();
+    assert_eq!((frames_segmented(&bundle), frames_segmented(&bundle)), (all, 0));
+    bundle.frames.remove(10);
+    assert_eq!(frames_segmented(&bundle), all - 11, "the first ten still fit");
+}
+
 fn bare(positions: Vec<Point3<f32>>) -> SceneBundle {
     let report = ImportReport {
         format: "test".into(),

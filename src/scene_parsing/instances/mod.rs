@@ -7,8 +7,9 @@ mod support;
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::colour::ColourHistogram;
 use crate::geometry::least_axis::least_axis;
+use crate::geometry::moments::Moments;
 use crate::geometry::statistics::median;
-use crate::geometry::{Matrix3, Point3, Vector3};
+use crate::geometry::{Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Instance, InstanceId, PointCloud};
 use crate::scene_parsing::superpoints::Superpoints;
@@ -52,6 +53,7 @@ pub fn build(
     settings: &InstanceSettings,
     progress: &Progress,
 ) -> Result<(Vec<Instance>, Vec<InstanceId>), Cancelled> {
+    progress.report("instances", 0.0)?;
     let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
     let mut members: Vec<Vec<u32>> = vec![Vec::new(); count];
     for (i, &superpoint) in superpoints.of_point.iter().enumerate() {
@@ -143,14 +145,14 @@ impl Shape {
         let raw_box = Aabb::around(&positions).unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
         let (aabb, oriented_box) = bounds::robust(&positions, noise_m, settings);
         let (normal, middle, planarity) = plane(&positions);
-        let n = members.len().max(1) as f32;
-        let sum = colours().fold([0.0_f32; 3], |sum, c| std::array::from_fn(|i| sum[i] + f32::from(c[i])));
+        let n = members.len().max(1) as u64;
+        let sum = colours().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
         Self {
             point_count: members.len() as u32,
             aabb,
             raw_box,
             oriented_box,
-            mean_rgb: sum.map(|s| (s / n).round() as u8),
+            mean_rgb: sum.map(|s| ((s + n / 2) / n) as u8),
             colours: ColourHistogram::of(colours()),
             normal,
             middle,
@@ -164,12 +166,8 @@ const ON_PLANE_M: f32 = 0.03;
 
 /// Normal and middle of the best plane, and the share of points on it.
 fn plane(positions: &[Point3<f32>]) -> (Vector3<f32>, Point3<f32>, f32) {
-    let n = positions.len().max(1) as f32;
-    let mean = positions.iter().fold(Vector3::zeros(), |sum, p| sum + p.coords) / n;
-    let scatter = positions
-        .iter()
-        .fold(Matrix3::zeros(), |sum, p| sum + (p.coords - mean) * (p.coords - mean).transpose());
-    let (_, normal) = least_axis(&(scatter / n));
-    let on_plane = positions.iter().filter(|p| (p.coords - mean).dot(&normal).abs() <= ON_PLANE_M).count();
-    (normal, Point3::from(mean), on_plane as f32 / n)
+    let Moments { mean, covariance } = Moments::of(positions);
+    let (_, normal) = least_axis(&covariance);
+    let on_plane = positions.iter().filter(|p| (*p - mean).dot(&normal).abs() <= ON_PLANE_M).count();
+    (normal, mean, on_plane as f32 / positions.len().max(1) as f32)
 }

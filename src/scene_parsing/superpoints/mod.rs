@@ -57,10 +57,15 @@ impl Default for SuperpointSettings {
 impl SuperpointSettings {
     /// Settings no finer than a cloud bears: voxels smaller than the gaps between points would fall apart into islands.
     fn coarsened_to(self, spacing_m: f32) -> Self {
-        let ratio = (VOXEL_SPACINGS * spacing_m / self.voxel_m).max(1.0);
-        Self { voxel_m: self.voxel_m * ratio, seed_m: self.seed_m * ratio, ..self }
+        let voxel_m = self.voxel_m.max(VOXEL_SPACINGS * spacing_m);
+        let seed_voxels = (self.seed_m / self.voxel_m).min(ENOUGH_SEED_VOXELS);
+        Self { voxel_m, seed_m: self.seed_m.max(seed_voxels * voxel_m), ..self }
     }
 }
+
+/// Seeds keep their distance in voxels where voxels are coarsened, up to this: asking for finer voxels than a cloud bears must
+/// not spread its seeds.
+const ENOUGH_SEED_VOXELS: f32 = 6.0;
 
 /// A voxel spans at least this many typical spacings.
 const VOXEL_SPACINGS: f32 = 1.5;
@@ -92,12 +97,13 @@ impl Patch {
     /// One patch per label `0..count`: point-weighted means of `parts`.
     #[must_use]
     pub fn joined(parts: &[Self], labels: &[u32], count: usize) -> Vec<Self> {
-        let mut sums = vec![(0_u32, Vector3::zeros(), Matrix3::zeros(), Lab::zeros()); count];
+        let mut sums = vec![(0_u32, nalgebra::Vector3::<f64>::zeros(), Matrix3::zeros(), Lab::zeros()); count];
         for (part, &label) in parts.iter().zip(labels) {
             let n = part.points as f32;
             let sum = &mut sums[label as usize];
             sum.0 += part.points;
-            sum.1 += part.center.coords * n;
+            // A floor is half a million points, maybe kilometres from the origin: single precision would move it.
+            sum.1 += part.center.coords.cast::<f64>() * f64::from(part.points);
             // Outer products add up whatever sign each normal has.
             sum.2 += part.normal * part.normal.transpose() * n;
             sum.3 += part.lab * n;
@@ -107,7 +113,7 @@ impl Patch {
                 let n = (points as f32).max(1.0);
                 let eigen = SymmetricEigen::new(spread);
                 let normal = eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned();
-                Self { points, center: Point3::from(center / n), normal, lab: lab / n }
+                Self { points, center: Point3::from((center / f64::from(points.max(1))).cast::<f32>()), normal, lab: lab / n }
             })
             .collect()
     }
@@ -198,6 +204,15 @@ mod tests {
         let purity = pure as f32 / cloud.len() as f32;
         assert!(purity > 0.96, "purity {purity} with {} superpoints", all.len());
         assert!(!superpoints.adjacent.is_empty());
+    }
+
+    #[test]
+    fn finer_settings_never_give_coarser_superpoints() {
+        let asked = |voxel_m: f32| SuperpointSettings { voxel_m, ..SuperpointSettings::default() };
+        let (fine, default) = (asked(0.002).coarsened_to(0.02), asked(0.025).coarsened_to(0.02));
+        assert_eq!((fine.voxel_m, fine.seed_m), (default.voxel_m, default.seed_m));
+        assert!((fine.voxel_m - 0.03).abs() < 1e-6 && (fine.seed_m - 0.18).abs() < 1e-6, "{fine:?}");
+        assert_eq!(asked(0.05).coarsened_to(0.02), asked(0.05), "what the cloud bears is left alone");
     }
 
     #[test]
