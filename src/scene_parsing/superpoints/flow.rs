@@ -6,7 +6,7 @@
 use super::voxel_cloud::VoxelCloud;
 use super::{Patch, SuperpointSettings};
 use crate::geometry::colour::Lab;
-use crate::geometry::voxels::{VoxelKey, VoxelMap};
+use crate::geometry::voxels::VoxelGrid;
 use crate::geometry::{Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
 use rayon::prelude::*;
@@ -58,25 +58,25 @@ pub(super) fn grow(voxels: &VoxelCloud, settings: &SuperpointSettings, progress:
 ///
 /// Seeds with hardly any surface around them are noise and are left out (their voxels may still join a neighbour's supervoxel).
 fn seeds(voxels: &VoxelCloud, settings: &SuperpointSettings) -> Vec<u32> {
-    let mut cells: VoxelMap<(Vector3<f32>, f32)> = VoxelMap::default();
-    let cell_of = |v: usize| VoxelKey::of(&voxels.patches[v].center, settings.seed_m);
-    for v in 0..voxels.len() {
-        let cell = cells.entry(cell_of(v)).or_insert((Vector3::zeros(), 0.0));
-        cell.0 += voxels.patches[v].center.coords;
-        cell.1 += 1.0;
+    let centers: Vec<Point3<f32>> = voxels.patches.par_iter().map(|p| p.center).collect();
+    let cells = VoxelGrid::new(&centers, settings.seed_m);
+    let mut sums = vec![(Vector3::zeros(), 0.0_f32); cells.len()];
+    for (center, &cell) in centers.iter().zip(&cells.of_point) {
+        let sum = &mut sums[cell as usize];
+        sum.0 += center.coords;
+        sum.1 += 1.0;
     }
-    let mut nearest: VoxelMap<(f32, u32)> = VoxelMap::default();
-    for v in 0..voxels.len() {
-        let key = cell_of(v);
-        let (sum, count) = cells[&key];
-        let distance = (voxels.patches[v].center.coords - sum / count).norm_squared();
-        let best = nearest.entry(key).or_insert((f32::INFINITY, NONE));
+    let mut nearest = vec![(f32::INFINITY, NONE); cells.len()];
+    for (v, (center, &cell)) in centers.iter().zip(&cells.of_point).enumerate() {
+        let (sum, count) = sums[cell as usize];
+        let distance = (center.coords - sum / count).norm_squared();
+        let best = &mut nearest[cell as usize];
         if distance < best.0 {
             *best = (distance, v as u32);
         }
     }
     let mut seeds: Vec<u32> = nearest
-        .into_values()
+        .into_iter()
         .map(|(_, v)| v)
         .filter(|&v| voxels.neighbours(v).len() >= MIN_SEED_NEIGHBOURS)
         .collect();

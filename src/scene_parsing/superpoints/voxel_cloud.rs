@@ -3,7 +3,6 @@
 use super::Patch;
 use crate::geometry::colour::{Lab, lab_of_srgb};
 use crate::geometry::least_axis::least_axis;
-use crate::geometry::union_find::UnionFind;
 use crate::geometry::voxels::{Neighbours, VoxelGrid, VoxelKey};
 use crate::geometry::{Matrix3, Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
@@ -89,15 +88,27 @@ impl VoxelCloud {
 
     /// Numbers the connected parts of equal labels `0..n` in voxel order, so that every label is one piece.
     pub fn connected(&self, labels: &[u32]) -> Vec<u32> {
-        let mut sets = UnionFind::new(self.len());
-        for v in 0..self.len() as u32 {
-            for &n in self.neighbours(v) {
-                if n < v && labels[n as usize] == labels[v as usize] {
-                    sets.union(n, v);
+        const NONE: u32 = u32::MAX;
+        let mut pieces = vec![NONE; self.len()];
+        let mut count = 0;
+        let mut found = Vec::new();
+        for start in 0..self.len() as u32 {
+            if pieces[start as usize] != NONE {
+                continue;
+            }
+            pieces[start as usize] = count;
+            found.push(start);
+            while let Some(v) = found.pop() {
+                for &n in self.neighbours(v) {
+                    if pieces[n as usize] == NONE && labels[n as usize] == labels[v as usize] {
+                        pieces[n as usize] = count;
+                        found.push(n);
+                    }
                 }
             }
+            count += 1;
         }
-        sets.into_labels().0
+        pieces
     }
 
     /// Pairs `(low, high)` of labels that are neighbours, sorted: among the voxels nearest to one of the first lies one of the
