@@ -1,9 +1,12 @@
 use clap::Parser;
+use std::io;
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
     match uniground::cli::run(&uniground::cli::Cli::parse()) {
         Ok(()) => ExitCode::SUCCESS,
+        // `| head` has seen enough: no failure.
+        Err(error) if error.downcast_ref::<io::Error>().is_some_and(|e| e.kind() == io::ErrorKind::BrokenPipe) => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("uniground: {error:#}");
             ExitCode::FAILURE

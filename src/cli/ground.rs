@@ -4,6 +4,7 @@ use super::table;
 use crate::client::Client;
 use crate::grounding::Status;
 use crate::service::{GroundRequest, ReasonerChoice};
+use std::io::{self, Write};
 
 #[derive(Debug, clap::Args)]
 pub struct GroundArgs {
@@ -26,12 +27,13 @@ pub struct GroundArgs {
 pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
     let client = Client::new(&args.server, std::env::var("UNIGROUND_API_KEY").ok())?;
     let answer = client.ground(&args.scene, &question(&args.query, args.top_k)).await?;
+    let mut out = io::stdout().lock();
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&answer)?);
+        writeln!(out, "{}", serde_json::to_string_pretty(&answer)?)?;
     } else {
-        println!("{}", table::of_answer(&answer));
+        writeln!(out, "{}", table::of_answer(&answer))?;
         if answer.status == Status::Ambiguous {
-            println!("{}", table::of_alternatives(&answer.alternatives));
+            writeln!(out, "{}", table::of_alternatives(&answer.alternatives))?;
         }
     }
     Ok(())

@@ -1,6 +1,8 @@
 //! `uniground openapi`: the HTTP description, as the server serves it.
 
+use std::io::{self, Write};
+
 pub fn run() -> anyhow::Result<()> {
-    println!("{}", crate::http::openapi().to_pretty_json()?);
+    writeln!(io::stdout(), "{}", crate::http::openapi().to_pretty_json()?)?;
     Ok(())
 }

@@ -12,7 +12,7 @@ use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Serialize;
 use std::fs::{self, File};
-use std::io::IsTerminal;
+use std::io::{self, IsTerminal, Write};
 use tokio_util::sync::CancellationToken;
 
 #[derive(Debug, clap::Args)]
@@ -83,9 +83,9 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
         fs::write(out.join("index.html"), report_page::render(&args.scan, &import, &parsed, &pictures))?;
     }
     if args.json {
-        println!("{}", serde_json::to_string_pretty(&report)?);
+        writeln!(io::stdout(), "{}", serde_json::to_string_pretty(&report)?)?;
     } else {
-        print_summary(&report, &parsed.instances);
+        print_summary(&mut io::stdout().lock(), &report, &parsed.instances)?;
     }
     Ok(())
 }
@@ -105,21 +105,23 @@ fn unpack_archive(archive: &Utf8Path, into: &Utf8Path) -> anyhow::Result<Utf8Pat
     Ok(into.to_owned())
 }
 
-fn print_summary(Report { import, parse }: &Report, instances: &[Instance]) {
-    println!(
+fn print_summary(out: &mut impl Write, Report { import, parse }: &Report, instances: &[Instance]) -> io::Result<()> {
+    writeln!(
+        out,
         "{} frames, {} points, {} superpoints, {} instances ({} structural)",
         parse.frames_used, parse.points, parse.superpoints, parse.instances, parse.structural
-    );
+    )?;
     for stage in &parse.stages {
         let memory = stage.peak_memory_mb.map_or_else(String::new, |mb| format!("{mb:>6} MB"));
-        println!("  {:<20} {:>7.2} s {memory} {:>9}", stage.stage, stage.seconds, stage.produced);
+        writeln!(out, "  {:<20} {:>7.2} s {memory} {:>9}", stage.stage, stage.seconds, stage.produced)?;
     }
     for warning in import.warnings.iter().chain(&parse.warnings) {
-        println!("  warning: {warning}");
+        writeln!(out, "  warning: {warning}")?;
     }
     for instance in instances.iter().take(60) {
         let (center, size) = (instance.aabb.center, instance.aabb.size);
-        println!(
+        writeln!(
+            out,
             "  {:>3} {:<14} at ({:6.2} {:6.2} {:6.2}) size ({:.2} {:.2} {:.2}) {:>7} points",
             instance.id,
             instance.label(),
@@ -130,6 +132,7 @@ fn print_summary(Report { import, parse }: &Report, instances: &[Instance]) {
             size.y,
             size.z,
             instance.point_count
-        );
+        )?;
     }
+    Ok(())
 }
