@@ -5,6 +5,7 @@ mod cache;
 mod instances;
 mod parsing;
 mod pictures;
+mod report_files;
 mod reports;
 mod scenes;
 mod uploads;

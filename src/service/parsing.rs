@@ -1,6 +1,6 @@
 //! Parsing as a job: the same content with the same settings is parsed once.
 
-use super::{Service, reports};
+use super::{Service, report_files};
 use crate::error::Error;
 use crate::ingest::{self, ImportSettings};
 use crate::jobs::{Handler, Job, JobContext, JobFailure};
@@ -28,9 +28,6 @@ pub const PARSE_JOB: &str = "parse";
 
 /// Raised when stage 1 changes what it computes: older parses are kept, but not taken for new ones.
 const STAGE_1_VERSION: u32 = 2;
-
-/// Folder of the report's pictures within a parse.
-pub(super) const REPORT_FOLDER: &str = "report";
 
 /// Everything a parse depends on, beside the content.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -302,7 +299,7 @@ fn parse_content(
     write_cloud_ply(&parsed.cloud, File::create(blobs.path().join("cloud.ply"))?)?;
     write_instances_ply(&parsed, File::create(blobs.path().join("instances.ply"))?)?;
     writing.report("draw_report", 0.5).map_err(ParseError::from)?;
-    reports::write_pictures(blobs.path(), report_pictures::render(&parsed, &frames, &writing)?)?;
+    report_files::write(blobs.path(), report_pictures::render(&parsed, &frames, &writing)?)?;
     writing.check().map_err(ParseError::from)?;
     let views = blobs.path().join("views");
     fs::create_dir(&views)?;
