@@ -22,7 +22,7 @@ lint: ## Formatting and lints; warnings are errors
 fmt:
 	$(CARGO) fmt
 
-bench: ## Timings of the pipelines, questions over HTTP, memory of a 1 GB upload
+bench: ## All benches: pipelines, questions over HTTP, memory of a 1 GB upload, and the three below
 	$(CARGO) bench --locked
 
 bench-quality: ## Superpoints and instances against annotated rooms (ROOMS=folder)

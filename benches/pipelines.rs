@@ -12,7 +12,7 @@ use uniground::grounding::{Question, SceneView, ground};
 use uniground::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use uniground::ingest::{self, ImportSettings};
 use uniground::progress::Progress;
-use uniground::render::{Orbit, scene_picture};
+use uniground::render::{ROOM_VIEW, scene_picture};
 use uniground::scene::SceneBundle;
 use uniground::scene_parsing::checkpoints::Checkpoints;
 use uniground::scene_parsing::masks::MaskSource;
@@ -58,10 +58,9 @@ fn pipelines(c: &mut Criterion) {
         let question = question(query);
         group.bench_function(query, |b| b.iter(|| ground(scene, black_box(&question))));
     }
-    let orbit = Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 35.0 };
     let extent = Aabb::around(&parsed.cloud.positions).unwrap();
     group.sample_size(20);
-    group.bench_function("picture of the room, 1024x768", |b| b.iter(|| scene_picture(&parsed.cloud, &extent, &orbit, &[])));
+    group.bench_function("picture of the room, 1024x768", |b| b.iter(|| scene_picture(&parsed.cloud, &extent, &ROOM_VIEW, &[])));
     group.finish();
 }
 

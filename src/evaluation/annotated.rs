@@ -55,7 +55,7 @@ impl Room {
         objects.into_iter().filter_map(|o| Some(AnnotatedObject { aabb: around(o.id)?, ..o })).collect()
     }
 
-    /// The annotations as a source of 2D masks.
+    /// The annotations as a source of 2D masks, for the world as it was annotated: not after [`turned`](Self::turned).
     #[must_use]
     pub fn masks(&self) -> AnnotatedMasks {
         self.annotations.masks(&self.bundle.cloud)

@@ -21,6 +21,9 @@ const CEILING_PERCENTILE: f32 = 0.95;
 /// Only a scene taller than this has a ceiling to leave out, metres.
 const CEILING_FROM_M: f32 = 2.0;
 
+/// How a whole room is shown: from the south, well above. Left is -X, right is +X, the far wall +Y.
+pub const ROOM_VIEW: Orbit = Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 35.0 };
+
 /// A frame with the cloud's colours laid over it, half transparent. `camera` is the frame's own.
 #[must_use]
 pub fn frame_overlay(frame: &RgbImage, camera: &Camera, cloud: &PointCloud) -> RgbImage {

@@ -40,13 +40,13 @@ pub struct StageReport {
     pub stage: String,
     /// Wall-clock.
     pub seconds: f32,
-    /// How many came out: points, superpoints, masks over all frames, regions, instances, views.
+    /// How many came out: points, superpoints, masks over all frames, regions, instances, sightings of instances.
     #[serde(default)]
     pub produced: u64,
     /// Whether they were kept from an earlier parse of the scan that got so far under the same settings.
     #[serde(default)]
     pub reused: bool,
-    /// Largest resident memory of the whole process during the stage; `null` where the system does not tell.
+    /// Largest resident memory of the whole process during the stage, 10^6 bytes; `null` where the system does not tell.
     #[serde(default)]
     pub peak_memory_mb: Option<u32>,
 }

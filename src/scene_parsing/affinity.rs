@@ -14,6 +14,7 @@ use crate::progress::{Cancelled, Progress};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::collections::btree_map::Entry;
 use utoipa::ToSchema;
 
 /// How Eq. (1) averages over frames.
@@ -59,28 +60,18 @@ pub fn pairs_within(adjacent: &[(u32, u32)], count: usize, max_hop: u32, progres
             for hop in 1..=max_hop {
                 let ways = ring.iter().filter(|&&n| n == start || neighbours[n as usize].len() <= HUB);
                 let reached: Vec<u32> = ways.flat_map(|&n| neighbours[n as usize].iter().copied()).collect();
-                ring = reached.into_iter().filter(|&n| hops.insert_if_new(n, hop)).collect();
+                ring.clear();
+                for n in reached {
+                    if let Entry::Vacant(slot) = hops.entry(n) {
+                        slot.insert(hop);
+                        ring.push(n);
+                    }
+                }
             }
             Ok(hops.into_iter().filter(|&(n, _)| n > start).map(|(n, hop)| (start, n, hop)).collect())
         })
         .collect::<Result<_, Cancelled>>()?;
     Ok(around.concat())
-}
-
-trait InsertIfNew {
-    fn insert_if_new(&mut self, key: u32, value: u32) -> bool;
-}
-
-impl InsertIfNew for BTreeMap<u32, u32> {
-    fn insert_if_new(&mut self, key: u32, value: u32) -> bool {
-        match self.entry(key) {
-            std::collections::btree_map::Entry::Vacant(slot) => {
-                slot.insert(value);
-                true
-            }
-            std::collections::btree_map::Entry::Occupied(_) => false,
-        }
-    }
 }
 
 /// Eq. (1) for every pair.
@@ -206,6 +197,17 @@ mod tests {
             compute(&[(0, 1, 1)], &[patch(10), patch(10)], &tables, Normalisation::Normalised, &Progress::silent()).unwrap()[0].affinity,
             1.0
         );
+    }
+
+    #[test]
+    fn no_way_leads_through_a_hub() {
+        let star = |spokes: u32| (1..=spokes).map(|i| (0, i)).collect::<Vec<_>>();
+        let two_hops = |spokes: u32| {
+            let pairs = pairs_within(&star(spokes), spokes as usize + 1, 2, &Progress::silent()).unwrap();
+            assert_eq!(pairs.iter().filter(|p| p.2 == 1).count(), spokes as usize, "the hub keeps its own neighbours");
+            pairs.iter().filter(|p| p.2 == 2).count()
+        };
+        assert_eq!((two_hops(64), two_hops(65)), (64 * 63 / 2, 0));
     }
 
     #[test]

@@ -79,12 +79,14 @@ fn key(origin: &str, depends_on: &impl Serialize) -> io::Result<String> {
 pub struct Log<T> {
     file: Option<File>,
     kept: Vec<T>,
+    /// Where each kept record ends in the file.
+    ends: Vec<u64>,
     records: PhantomData<T>,
 }
 
 impl<T: Serialize + DeserializeOwned> Log<T> {
     fn nowhere() -> Self {
-        Self { file: None, kept: Vec::new(), records: PhantomData }
+        Self { file: None, kept: Vec::new(), ends: Vec::new(), records: PhantomData }
     }
 
     fn open(folder: &Utf8Path, stage: &str, key: &str) -> io::Result<Self> {
@@ -96,15 +98,28 @@ impl<T: Serialize + DeserializeOwned> Log<T> {
             }
         }
         let file = OpenOptions::new().read(true).append(true).create(true).open(folder.join(name))?;
-        let (kept, good_bytes) = read_records(&file);
+        let (kept, ends) = read_records(&file);
         // What a crash left half written is cut off.
-        file.set_len(good_bytes)?;
-        Ok(Self { file: Some(file), kept, records: PhantomData })
+        file.set_len(ends.last().copied().unwrap_or(0))?;
+        Ok(Self { file: Some(file), kept, ends, records: PhantomData })
     }
 
     /// The records of earlier attempts; a second call has none.
     pub fn kept(&mut self) -> Vec<T> {
         std::mem::take(&mut self.kept)
+    }
+
+    /// Forgets all records after the first `count`: those do not fit.
+    pub fn forget_after(&mut self, count: usize) {
+        let Some(file) = &self.file else { return };
+        if count < self.ends.len() {
+            let end = count.checked_sub(1).map_or(0, |last| self.ends[last]);
+            self.ends.truncate(count);
+            if let Err(error) = file.set_len(end) {
+                tracing::warn!(%error, "a stage can not be kept any longer");
+                self.file = None;
+            }
+        }
     }
 
     pub fn append(&mut self, record: &T) {
@@ -126,15 +141,16 @@ impl<T: Serialize + DeserializeOwned> Log<T> {
 /// Length and CRC-32 of a record, before its bytes.
 const HEADER: usize = 12;
 
-/// All whole records from the start, and where the last one ends.
-fn read_records<T: DeserializeOwned>(file: &File) -> (Vec<T>, u64) {
+/// All whole records from the start, and where each ends.
+fn read_records<T: DeserializeOwned>(file: &File) -> (Vec<T>, Vec<u64>) {
     let mut reader = BufReader::new(file);
-    let (mut records, mut end) = (Vec::new(), 0);
+    let (mut records, mut ends, mut end) = (Vec::new(), Vec::new(), 0);
     while let Some((record, length)) = read_record(&mut reader) {
-        records.push(record);
         end += length;
+        records.push(record);
+        ends.push(end);
     }
-    (records, end)
+    (records, ends)
 }
 
 fn read_record<T: DeserializeOwned>(reader: &mut impl Read) -> Option<(T, u64)> {

@@ -53,6 +53,7 @@ impl Lifting<'_> {
         let mut tables = log.kept();
         let kept = tables.iter().zip(frames).take_while(|(table, frame)| table.frame == frame.index).count();
         tables.truncate(kept);
+        log.forget_after(kept);
         stream_frames(
             &frames[kept..],
             |frame| {

@@ -3,7 +3,7 @@
 
 use super::ParseError;
 use crate::progress::Progress;
-use crate::render::{Orbit, frame_overlay, jpeg, scene_picture};
+use crate::render::{ROOM_VIEW, frame_overlay, jpeg, scene_picture};
 use crate::scene::{FrameRef, InstanceId, ParsedScene, PointCloud, id_colour};
 use rayon::prelude::*;
 
@@ -18,8 +18,6 @@ pub struct ReportPicture {
 
 /// Frames shown.
 const FRAMES: usize = 3;
-/// From the south, well above, as in the pictures of answers.
-const VIEW: Orbit = Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 35.0 };
 const STRUCTURE_GREY: [u8; 3] = [200, 200, 200];
 
 /// Renders the pictures: two of the cloud, and one each of up to three frames spread over the scan.
@@ -52,7 +50,7 @@ pub fn render(scene: &ParsedScene, frames: &[FrameRef], progress: &Progress) -> 
         .map(|(name, title, subject)| {
             progress.check()?;
             let picture = match subject {
-                Subject::Cloud(cloud) => scene_picture(cloud, &scene.extent, &VIEW, &[]),
+                Subject::Cloud(cloud) => scene_picture(cloud, &scene.extent, &ROOM_VIEW, &[]),
                 Subject::Frame(frame) => frame_overlay(&frame.decode_color()?, &frame.color_camera(), &by_instance),
             };
             Ok(ReportPicture { name, title, jpeg: jpeg(&picture) })

@@ -40,7 +40,7 @@ impl Stopwatch {
     }
 }
 
-/// Lets the kernel count the peak from here. Where that is not possible, the peak is the process's since its start.
+/// Lets the kernel count the peak from here; who reads `VmHWM` from outside sees the peak since the last stage began. Where that is not possible, the peak is the process's since its start.
 fn forget_peak_memory() {
     let _ = fs::write("/proc/self/clear_refs", "5");
 }

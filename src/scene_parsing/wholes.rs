@@ -2,7 +2,7 @@
 //!
 //! Masks cut a chair where its seat and back meet in a valley, and a table off its legs. Three things hold in any room and
 //! need no model: what is slender and carries something is a leg or a pole of it; a plate that stands on the rim of something
-//! as wide as itself is its back; what stands under something larger than itself, and under nothing else, is its foot.
+//! as wide as itself is its back; what ends close under something larger and does not stick out is its foot.
 
 use super::superpoints::Superpoints;
 use crate::geometry::boxes::{Aabb, OrientedBox};
@@ -140,10 +140,9 @@ impl WholeSettings {
         }
         let Some(across) = part.normal.xy().try_normalize(1e-6) else { return false };
         let along = nalgebra::Vector2::new(-across.y, across.x);
-        let width = |p: &Part, direction: &nalgebra::Vector2<f32>| p.width(direction);
-        let ratio = width(part, &along) / width(seat, &along).max(1e-3);
+        let ratio = part.width(&along) / seat.width(&along).max(1e-3);
         let offset = (part.aabb.center - seat.aabb.center).xy().dot(&across).abs();
-        (self.back_width..=1.0 / self.back_width).contains(&ratio) && offset >= 0.25 * width(seat, &across)
+        (self.back_width..=1.0 / self.back_width).contains(&ratio) && offset >= 0.25 * seat.width(&across)
     }
 }
 
@@ -169,8 +168,7 @@ impl Part {
         let axes = SymmetricEigen::new(Moments::of(positions).covariance).eigenvectors;
         let range = |of: &dyn Fn(&Point3<f32>) -> f32| {
             let mut values: Vec<f32> = positions.iter().map(of).collect();
-            let (lo, hi) = (quantile(&mut values, TRIM).unwrap_or(0.0), quantile(&mut values, 1.0 - TRIM).unwrap_or(0.0));
-            (lo, hi)
+            (quantile(&mut values, TRIM).unwrap_or(0.0), quantile(&mut values, 1.0 - TRIM).unwrap_or(0.0))
         };
         let mut extents: [(f32, usize); 3] = std::array::from_fn(|i| {
             let (lo, hi) = range(&|p| p.coords.dot(&axes.column(i)));

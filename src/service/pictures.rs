@@ -3,13 +3,11 @@
 use super::{Answer, Service};
 use crate::error::Error;
 use crate::ingest;
-use crate::render::{BoxStyle, LabelledBox, Orbit, jpeg, scene_picture};
+use crate::render::{BoxStyle, LabelledBox, ROOM_VIEW, jpeg, scene_picture};
 use crate::scene::InstanceId;
 use std::collections::BTreeMap;
 use tokio::task::spawn_blocking;
 
-/// From the south, well above: left is -X, right is +X, the far wall +Y.
-const VIEW: Orbit = Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 35.0 };
 /// More candidates than this only hide the room.
 const MAX_CANDIDATES: usize = 5;
 
@@ -44,7 +42,7 @@ impl Service {
             if let Some(chosen) = answer.answer.predicted_id {
                 mark(chosen, 2, BoxStyle::Answer);
             }
-            let picture = scene_picture(&cloud, &parse.extent, &VIEW, &boxes.into_values().collect::<Vec<_>>());
+            let picture = scene_picture(&cloud, &parse.extent, &ROOM_VIEW, &boxes.into_values().collect::<Vec<_>>());
             Ok(jpeg(&picture))
         })
         .await?

@@ -209,6 +209,7 @@ fn kept_frames_must_be_those_of_the_scan() {
     assert_eq!((frames_segmented(&bundle), frames_segmented(&bundle)), (all, 0));
     bundle.frames.remove(10);
     assert_eq!(frames_segmented(&bundle), all - 11, "the first ten still fit");
+    assert_eq!(frames_segmented(&bundle), 0, "what did not fit is forgotten, what replaced it is kept");
 }
 
 fn bare(positions: Vec<Point3<f32>>) -> SceneBundle {

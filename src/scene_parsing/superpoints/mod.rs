@@ -207,6 +207,20 @@ mod tests {
     }
 
     #[test]
+    fn neighbours_reach_over_a_gap_but_not_far() {
+        // A thin pole in two pieces.
+        let tied_over = |gap_m: f32| {
+            let piece = |from: f32| (0..200).map(move |i| Point3::new((i % 4) as f32 * 0.005, 0.0, from + (i / 4) as f32 * 0.01));
+            let positions: Vec<_> = piece(0.0).chain(piece(0.5 + gap_m)).collect();
+            let superpoints = compute_silently(&PointCloud { colours: vec![[90; 3]; positions.len()], positions });
+            let (lower, upper) = (superpoints.of_point[199], superpoints.of_point[200]);
+            // Neighbours that continue each other become one superpoint.
+            lower == upper || superpoints.adjacent.contains(&(lower.min(upper), lower.max(upper)))
+        };
+        assert!(tied_over(0.06) && !tied_over(0.3));
+    }
+
+    #[test]
     fn finer_settings_never_give_coarser_superpoints() {
         let asked = |voxel_m: f32| SuperpointSettings { voxel_m, ..SuperpointSettings::default() };
         let (fine, default) = (asked(0.002).coarsened_to(0.02), asked(0.025).coarsened_to(0.02));

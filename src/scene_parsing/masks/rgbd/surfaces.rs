@@ -168,3 +168,26 @@ fn block_mean(colours: &[[u8; 3]], depth: &DepthImage, u: u32, v: u32, stride: u
     }
     sum.map(|s| (s / count.max(1)) as u8)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn image(depth_of: impl Fn(u32, u32) -> f32) -> DepthImage {
+        DepthImage { width: 9, height: 9, depth_m: (0..81).map(|i| depth_of(i % 9, i / 9)).collect() }
+    }
+
+    #[test]
+    fn cracks_are_bridged_but_neither_holes_nor_steps() {
+        let crack = image(|u, _| if u == 4 { 0.0 } else { 2.0 });
+        assert_eq!((depth_or_bridge(&crack, 4, 4), depth_or_bridge(&crack, 3, 4)), (2.0, 2.0));
+        let hole = image(|u, v| if u.abs_diff(4).max(v.abs_diff(4)) <= 2 { 0.0 } else { 2.0 });
+        assert_eq!(depth_or_bridge(&hole, 4, 4), 0.0);
+        let step = image(|u, _| match u {
+            0..4 => 2.0,
+            4 => 0.0,
+            _ => 3.0,
+        });
+        assert_eq!(depth_or_bridge(&step, 4, 4), 0.0);
+    }
+}
