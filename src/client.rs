@@ -2,7 +2,7 @@
 
 use crate::http::{FieldError, Problem};
 use crate::jobs::Job;
-use crate::service::{Answer, GroundRequest, InstanceList, Scene, SceneList, SceneReport, ShortlistRequest, Shortlisted};
+use crate::service::{Answer, GroundRequest, InstanceList, InstanceView, Scene, SceneList, SceneReport, ShortlistRequest, Shortlisted};
 use futures::StreamExt;
 use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
 use serde::Serialize;
@@ -61,11 +61,23 @@ impl Client {
         media_type: &str,
         archive: impl Into<reqwest::Body>,
     ) -> Result<Created, ClientError> {
-        let mut request = self.request(Method::POST, "v1/scenes").header("content-type", media_type).body(archive);
-        if let Some(name) = name {
-            request = request.query(&[("name", name)]);
-        }
-        json(request).await
+        let request = self.request(Method::POST, "v1/scenes").header("content-type", media_type).body(archive);
+        json(request.query(&[("name", name)])).await
+    }
+
+    /// Uploads an archive, or finds the scene that the same `key` made before.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn create_scene_once(
+        &self,
+        name: &str,
+        media_type: &str,
+        archive: impl Into<reqwest::Body>,
+        key: &str,
+    ) -> Result<Created, ClientError> {
+        let request = self.request(Method::POST, "v1/scenes").header("content-type", media_type);
+        json(request.header("idempotency-key", key).query(&[("name", name)]).body(archive)).await
     }
 
     /// # Errors
@@ -113,6 +125,25 @@ impl Client {
     /// [`ClientError`].
     pub async fn instances(&self, scene_id: &str, limit: u32) -> Result<InstanceList, ClientError> {
         json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/instances")).query(&[("limit", limit)])).await
+    }
+
+    /// Every instance of a scene, in order of id.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn all_instances(&self, scene_id: &str) -> Result<Vec<InstanceView>, ClientError> {
+        const PAGE: u32 = 200;
+        let mut instances = Vec::new();
+        let mut cursor = None;
+        loop {
+            let query = [("limit", Some(PAGE)), ("cursor", cursor)];
+            let page: InstanceList = json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/instances")).query(&query)).await?;
+            instances.extend(page.instances);
+            cursor = page.next_cursor;
+            if cursor.is_none() {
+                return Ok(instances);
+            }
+        }
     }
 
     /// # Errors

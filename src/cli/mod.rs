@@ -1,6 +1,7 @@
 //! The command line: one file per subcommand.
 
 mod demo;
+mod eval;
 mod ground;
 mod openapi;
 mod parse;
@@ -28,6 +29,8 @@ enum Command {
     Ground(ground::GroundArgs),
     /// Cut a scan into instances, without a server
     Parse(parse::ParseArgs),
+    /// Score expressions with known answers
+    Eval(eval::EvalArgs),
     /// Print the OpenAPI description of the service
     Openapi,
 }
@@ -42,6 +45,7 @@ pub fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Demo(args) => asynchronous(demo::run(args)),
         Command::Ground(args) => asynchronous(ground::run(args)),
         Command::Parse(args) => parse::run(args),
+        Command::Eval(args) => eval::run(args),
         Command::Openapi => openapi::run(),
     }
 }

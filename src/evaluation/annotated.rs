@@ -1,6 +1,7 @@
 //! Annotated rooms: an archive `<room>.zip`, its objects in `<room>.scene.json` and, where given, the object of each point
 //! of its cloud in `<room>.cloud_instance.npy`.
 
+use super::annotations::{Annotations, SceneObject};
 use super::segmentation::AnnotatedObject;
 use crate::geometry::boxes::Aabb;
 use crate::geometry::voxels::{VoxelKey, VoxelMap};
@@ -13,12 +14,7 @@ use crate::scene_parsing::masks::{IdImage, MaskSource};
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
 use nalgebra::UnitQuaternion;
-use serde::Deserialize;
-use std::fs;
 use std::sync::Arc;
-
-/// Ids up to this are floor, ceiling and walls.
-const LAST_STRUCTURAL_ID: u32 = 6;
 
 /// An annotated room, loaded.
 #[derive(Clone)]
@@ -37,7 +33,9 @@ impl Room {
     /// # Errors
     /// Unreadable or malformed files, named.
     pub fn load(folder: &Utf8Path, name: &str, scratch: &Utf8Path) -> anyhow::Result<Self> {
-        let annotations = Annotations::read(folder, name)?;
+        let file = Annotations::file_of(folder, name).with_context(|| format!("{folder}: no annotations of {name}"))?;
+        let (annotations, omissions) = Annotations::read(&file);
+        ensure!(omissions.is_empty(), "{}", omissions.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "));
         unpack(&folder.join(format!("{name}.zip")), ArchiveKind::Zip, scratch, &UnpackLimits::default())?;
         let bundle = ingest::load(&ingest::open(scratch)?, &ImportSettings::default(), &Progress::silent())?;
         let truth = annotations.label(&bundle.cloud);
@@ -87,55 +85,16 @@ impl Room {
     }
 }
 
-/// What is known of a room.
-#[derive(Debug, Clone)]
-struct Annotations {
-    objects: Vec<SceneObject>,
-    /// Object of each point of the room's own cloud.
-    of_point: Option<Vec<u32>>,
-}
-
-#[derive(Debug, Clone, Deserialize)]
-struct SceneObject {
-    id: u32,
-    name: String,
-    min: [f32; 3],
-    max: [f32; 3],
-    cloud_points: u32,
-    obb: Option<SceneBox>,
-}
-
-#[derive(Debug, Clone, Deserialize)]
-struct SceneBox {
-    center: [f32; 3],
-    size: [f32; 3],
-    yaw_deg: f32,
-}
-
-#[derive(Deserialize)]
-struct SceneFile {
-    objects: Vec<SceneObject>,
-}
-
 impl Annotations {
-    fn read(folder: &Utf8Path, room: &str) -> anyhow::Result<Self> {
-        let file = folder.join(format!("{room}.scene.json"));
-        let text = fs::read_to_string(&file).with_context(|| file.to_string())?;
-        let SceneFile { objects } = serde_json::from_str(&text).with_context(|| file.to_string())?;
-        let file = folder.join(format!("{room}.cloud_instance.npy"));
-        let of_point = if file.exists() { Some(read_npy(&file).with_context(|| file.to_string())?) } else { None };
-        Ok(Self { objects, of_point })
-    }
-
     fn objects(&self, min_points: u32) -> Vec<AnnotatedObject> {
-        let movable = self.objects.iter().filter(|o| o.id > LAST_STRUCTURAL_ID && o.cloud_points >= min_points);
+        let movable = self.objects.iter().filter(|o| o.structure().is_none() && o.cloud_points >= min_points);
         movable
-            .map(|o| AnnotatedObject { id: o.id, name: o.name.clone(), aabb: o.aabb(), points: o.cloud_points })
+            .map(|o| AnnotatedObject { id: o.id, name: o.name.clone(), aabb: o.aabb, points: o.cloud_points })
             .collect()
     }
 
     /// The annotated id of each point of a cloud: as annotated when it is the room's own, else by the annotated boxes.
-    fn label(&self, cloud: &PointCloud) -> Vec<u32> {
+    pub(super) fn label(&self, cloud: &PointCloud) -> Vec<u32> {
         match &self.of_point {
             Some(of_point) if of_point.len() == cloud.len() => of_point.clone(),
             _ => cloud.positions.iter().map(|p| self.at(p, 0.02)).collect(),
@@ -149,7 +108,7 @@ impl Annotations {
     fn at(&self, p: &Point3<f32>, noise_m: f32) -> u32 {
         let holding = |slack: f32| self.objects.iter().filter(move |o| o.distance(p) <= slack);
         let smallest = holding(noise_m).min_by(|a, b| a.volume().total_cmp(&b.volume()));
-        let structural = holding(noise_m).find(|o| o.id <= LAST_STRUCTURAL_ID);
+        let structural = holding(noise_m).find(|o| o.structure().is_some());
         match (smallest, structural) {
             (Some(object), Some(structure)) => {
                 if object.is_part_of(structure) {
@@ -175,12 +134,8 @@ impl Annotations {
 }
 
 impl SceneObject {
-    fn aabb(&self) -> Aabb {
-        Aabb::from_corners(Point3::from(self.min), Point3::from(self.max))
-    }
-
     fn size(&self) -> Vector3<f32> {
-        self.obb.as_ref().map_or_else(|| self.aabb().size, |b| Vector3::from(b.size))
+        self.rotated_box().size
     }
 
     fn volume(&self) -> f32 {
@@ -192,16 +147,13 @@ impl SceneObject {
         const FLAT_M: f32 = 0.1;
         const LET_IN_M: f32 = 0.02;
         let normal = slab.size().imin();
-        self.aabb().size[normal] < FLAT_M || -self.aabb().gap_per_axis(&slab.aabb())[normal] >= LET_IN_M
+        self.aabb.size[normal] < FLAT_M || -self.aabb.gap_per_axis(&slab.aabb)[normal] >= LET_IN_M
     }
 
     /// Distance of a point to the (oriented) box, metres; 0 inside.
     fn distance(&self, p: &Point3<f32>) -> f32 {
-        let aabb = self.aabb();
-        let (center, yaw) = self.obb.as_ref().map_or((aabb.center, 0.0), |b| (Point3::from(b.center), b.yaw_deg.to_radians()));
-        let d = p - center;
-        let (sin, cos) = yaw.sin_cos();
-        let turned = Vector3::new(cos * d.x + sin * d.y, cos * d.y - sin * d.x, d.z);
+        let own = self.rotated_box();
+        let turned = own.rotation.inverse() * (p - own.center);
         (turned.abs() - self.size() / 2.0).map(|v| v.max(0.0)).norm()
     }
 }
@@ -255,14 +207,4 @@ impl MaskSource for AnnotatedMasks {
         };
         IdImage { width, height, ids: (0..height).flat_map(|v| (0..width).map(move |u| (u, v))).map(|(u, v)| at(u, v)).collect() }
     }
-}
-
-/// A one-dimensional array of little-endian `u16` in numpy's format, which is all the annotations use.
-fn read_npy(file: &Utf8Path) -> anyhow::Result<Vec<u32>> {
-    let bytes = fs::read(file)?;
-    ensure!(bytes.starts_with(b"\x93NUMPY\x01") && bytes.len() >= 10, "not an .npy file of version 1");
-    let data = 10 + usize::from(u16::from_le_bytes([bytes[8], bytes[9]]));
-    let header = bytes.get(10..data).map(String::from_utf8_lossy).context("the header is cut off")?;
-    ensure!(header.contains("'<u2'"), "expected u16 values: {header}");
-    Ok(bytes[data..].chunks_exact(2).map(|b| u32::from(u16::from_le_bytes([b[0], b[1]]))).collect())
 }

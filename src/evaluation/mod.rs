@@ -1,6 +1,20 @@
-//! How good is it? Annotated rooms, and measures of what stage 1 makes of them.
+//! How good is it? Suites of expressions with ground truth, systems that answer them, measures of both stages, reports.
 //!
-//! Ground truth is read here and nowhere below: a parse can not know what it will be measured with.
+//! `suite -> run (systems) -> scoring -> measures -> report`. Ground truth is read here and nowhere below, and here only after
+//! ranking: see [`sealed`].
 
 pub mod annotated;
+pub mod annotations;
+pub mod comparison;
+pub mod configuration;
+pub mod measures;
+pub mod pictures;
+pub mod records;
+pub mod reply;
+pub mod report;
+pub mod run;
+pub mod scoring;
+pub mod sealed;
 pub mod segmentation;
+pub mod suite;
+pub mod systems;

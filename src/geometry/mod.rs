@@ -8,6 +8,7 @@ pub mod colour;
 pub mod least_axis;
 pub mod moments;
 pub mod pose;
+pub mod rotated_box;
 pub mod statistics;
 pub mod union_find;
 pub mod up_axis;

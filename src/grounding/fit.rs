@@ -3,11 +3,13 @@
 use super::SceneView;
 use super::query::{Meaning, Phrase, SizeWord, With};
 use super::relations;
-use crate::models::attributes::{self, noun_fit};
+use crate::models::attributes::{self, Lexicon, noun_fit};
 use crate::scene::Instance;
 
 /// A broader word ("seat" for a sofa) fits a little less than the thing's own name.
 const BROADER_WORD: f32 = 0.9;
+/// A thing that was given a broader name than the one asked for may be meant.
+const BROADER_NAME: f32 = 0.5;
 /// What "thing" and "one" fit.
 const ANYTHING: f32 = 0.8;
 /// A colour that is not there at all leaves this: the scan's light may be odd.
@@ -22,7 +24,7 @@ const PARTS: [&str; 22] = [
 /// Fit of every instance to a phrase, `0..=1`, by index.
 #[must_use]
 pub fn phrase_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
-    let nouns: Vec<f32> = noun_fits(scene.instances, &phrase.meaning());
+    let nouns: Vec<f32> = noun_fits(scene.instances, &phrase.head, &phrase.meaning());
     let sizes = phrase.sizes.iter().map(|&size| size_fits(scene.instances, &nouns, size)).collect::<Vec<_>>();
     let withs: Vec<(Vec<(usize, f32)>, &With)> = phrase
         .with
@@ -60,8 +62,11 @@ pub(super) fn most_plausible(fits: &[f32], limit: usize) -> Vec<(usize, f32)> {
     plausible
 }
 
-fn noun_fits(instances: &[Instance], meaning: &Meaning) -> Vec<f32> {
+fn noun_fits(instances: &[Instance], head: &str, meaning: &Meaning) -> Vec<f32> {
     let fit = |instance: &Instance| match meaning {
+        Meaning::Nouns(_) | Meaning::Unknown if instance.given_name.is_some() => {
+            instance.given_name.as_deref().map_or(0.0, |given| given_name_fit(given, head, meaning))
+        }
         Meaning::Unknown => 0.0,
         Meaning::Anything => {
             if instance.structure.is_none() {
@@ -80,6 +85,21 @@ fn noun_fits(instances: &[Instance], meaning: &Meaning) -> Vec<f32> {
         }
     };
     instances.iter().map(fit).collect()
+}
+
+/// How well a name that somebody gave fits the noun asked for: the same thing in other words fits fully, a broader word a little less.
+fn given_name_fit(given: &str, head: &str, meaning: &Meaning) -> f32 {
+    let same_words = given.split_whitespace().next_back() == head.split_whitespace().next_back();
+    match (meaning, Lexicon::get().find_all(given).first()) {
+        (Meaning::Nouns(asked), Some(own)) => match asked.iter().position(|noun| noun.name == own.name) {
+            Some(0) => 1.0,
+            Some(_) => BROADER_WORD,
+            // "table" was given and "side table" is asked for: it may be one.
+            None if asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => BROADER_NAME,
+            None => 0.0,
+        },
+        _ => f32::from(u8::from(same_words && !head.is_empty())),
+    }
 }
 
 fn colours_fit(phrase: &Phrase, instance: &Instance) -> f32 {

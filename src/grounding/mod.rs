@@ -35,6 +35,8 @@ pub struct Question {
     pub top_k: usize,
     pub convention: DirectionConvention,
     pub observer: Option<Observer>,
+    /// What the target is called, where somebody else knows it: evaluation in the paper's way only.
+    pub target_name: Option<String>,
 }
 
 /// The best candidates for a question by names and attributes alone (stage 1 of the question, paper: top-k by the encoder).
@@ -49,7 +51,10 @@ pub fn shortlist(scene: SceneView, query: &str, top_k: usize) -> (query::ParsedQ
 #[must_use]
 pub fn ground(scene: SceneView, question: &Question) -> Grounding {
     let start = Instant::now();
-    let parsed = query::parse(&question.query);
+    let mut parsed = query::parse(&question.query);
+    if let Some(name) = &question.target_name {
+        parsed.target.head.clone_from(name);
+    }
     let parse_query = start.elapsed();
     let fits = fit::phrase_fits(scene, &parsed.target);
     let shortlisted = start.elapsed();

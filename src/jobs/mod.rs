@@ -9,7 +9,8 @@ mod worker;
 pub use queue::{Jobs, JobsError};
 pub use worker::{Handler, JobContext, JobFailure};
 
-use crate::store::{JobRow, JobState};
+use crate::store::JobRow;
+pub use crate::store::JobState;
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;

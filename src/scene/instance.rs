@@ -104,16 +104,20 @@ pub struct Instance {
     pub views: Vec<View>,
     /// Best names first; empty when the encoder has no opinion.
     pub names: Vec<NameGuess>,
+    /// What somebody who has seen it calls it; trumps what the encoder makes of its measures.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub given_name: Option<String>,
 }
 
 impl Instance {
-    /// What to call it when talking to people: its structure, its best name, or just "object".
+    /// What to call it when talking to people: its given name, its structure, its best name, or just "object".
     #[must_use]
     pub fn label(&self) -> &str {
-        match (self.structure, self.names.first()) {
-            (Some(structure), _) => structure.word(),
-            (None, Some(guess)) => &guess.name,
-            (None, None) => "object",
+        match (&self.given_name, self.structure, self.names.first()) {
+            (Some(name), _, _) => name,
+            (None, Some(structure), _) => structure.word(),
+            (None, None, Some(guess)) => &guess.name,
+            (None, None, None) => "object",
         }
     }
 }

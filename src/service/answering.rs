@@ -173,7 +173,8 @@ pub struct Shortlisted {
     pub encoder: String,
 }
 
-const BUILTIN_REASONER: &str = "builtin-1";
+/// Name and version, recorded with answers.
+pub const BUILTIN_REASONER: &str = "builtin-1";
 const MAX_QUERY_CHARS: usize = 2000;
 const MAX_TOP_K: u32 = 100;
 const MAX_TIMEOUT_S: f32 = 3600.0;
@@ -236,6 +237,7 @@ impl Service {
             top_k: request.top_k as usize,
             convention: request.direction_convention,
             observer: request.observer,
+            target_name: None,
         };
         let models = Models { masks: parse.masks.clone(), encoder: parse.encoder.clone(), reasoner: BUILTIN_REASONER.into() };
         let work = self.computed(parse, move |scene| grounding::ground(scene, &question));

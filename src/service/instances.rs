@@ -75,6 +75,7 @@ impl From<Instance> for InstanceView {
             height_above_floor_m,
             views,
             names,
+            given_name: _, // told as the label
         } = instance;
         let colours = colours.dominant().into_iter().map(|(name, share)| (name.word().to_owned(), share)).collect();
         Self {

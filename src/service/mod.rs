@@ -11,7 +11,7 @@ mod scenes;
 mod uploads;
 
 pub use answering::{
-    Ablation, Answer, Call, CoordinateFrame, GroundRequest, Include, Models, ReasonerChoice, ShortlistRequest, Shortlisted, Trace, Usage,
+    Ablation, Answer, BUILTIN_REASONER, Call, CoordinateFrame, GroundRequest, Include, Models, ReasonerChoice, ShortlistRequest, Shortlisted, Trace, Usage,
 };
 pub use instances::{InstanceList, InstanceView, ViewPicture};
 pub use parsing::{PARSE_JOB, ParseModels, ParsePreset, ParseSettings, ParsedScan, parse_scan};

@@ -7,9 +7,10 @@ use std::path::{Path, PathBuf};
 /// Floors from the top; modules on one floor do not know each other.
 const FLOORS: &[&[&str]] = &[
     &["cli"],
+    &["evaluation"],
     &["app", "client"],
     &["config", "telemetry"],
-    &["http", "evaluation"],
+    &["http"],
     &["service"],
     &["error"],
     &["jobs"],

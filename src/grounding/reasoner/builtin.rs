@@ -354,7 +354,7 @@ mod tests {
     fn ask_with(query: &str, convention: DirectionConvention, observer: Option<Observer>) -> Grounding {
         let instances = room();
         let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-        let question = Question { query: query.into(), top_k: 5, convention, observer };
+        let question = Question { query: query.into(), top_k: 5, convention, observer, target_name: None };
         ground(SceneView { instances: &instances, extent }, &question)
     }
 

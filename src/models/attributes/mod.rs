@@ -120,6 +120,7 @@ pub(crate) mod tests {
             height_above_floor_m: base,
             views: Vec::new(),
             names: Vec::new(),
+            given_name: None,
         }
     }
 

@@ -15,6 +15,7 @@ use crate::scene::{Instance, InstanceId, PointCloud};
 use crate::scene_parsing::superpoints::Superpoints;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+pub use support::supports;
 use utoipa::ToSchema;
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
@@ -72,7 +73,7 @@ pub fn build(
         .collect::<Result<_, Cancelled>>()?;
     let room = structure::Room::of(&shapes);
     let structures: Vec<_> = shapes.iter().map(|shape| room.structure_of(shape)).collect();
-    let supports = support::all(&shapes, &structures, room.floor_z, progress)?;
+    let supports = supports(&shapes.iter().map(|shape| shape.aabb).collect::<Vec<_>>(), &structures, room.floor_z, progress)?;
     let instances = shapes
         .into_iter()
         .zip(structures)
@@ -92,6 +93,7 @@ pub fn build(
             height_above_floor_m: shape.aabb.min().z - room.floor_z,
             views: Vec::new(),
             names: Vec::new(),
+            given_name: None,
         })
         .collect();
     Ok((instances, of_point))

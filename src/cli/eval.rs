@@ -1,0 +1,188 @@
+//! `uniground eval`: a suite through the system, and two reports side by side.
+
+use crate::evaluation::comparison::{Baseline, describe};
+use crate::evaluation::configuration::{self, Configuration};
+use crate::evaluation::report::{Report, RunFacts};
+use crate::evaluation::run::{RunOptions, Step, run as run_suite};
+use crate::evaluation::suite::{Suite, SuiteOptions};
+use crate::evaluation::systems::{InProcess, Server, System};
+use anyhow::{Context, bail, ensure};
+use camino::Utf8PathBuf;
+use clap::{Args, Subcommand};
+use std::collections::HashMap;
+use std::fs;
+use std::io::{self, IsTerminal, Write};
+
+#[derive(Debug, Args)]
+#[command(args_conflicts_with_subcommands = true)]
+pub struct EvalArgs {
+    #[command(subcommand)]
+    command: Option<EvalCommand>,
+    #[command(flatten)]
+    run: Option<RunArgs>,
+}
+
+#[derive(Debug, Subcommand)]
+enum EvalCommand {
+    /// Compare two reports: which expressions flipped
+    Diff(DiffArgs),
+}
+
+#[derive(Debug, Args)]
+struct DiffArgs {
+    /// The earlier report (its folder or report.json), or a baseline
+    before: Utf8PathBuf,
+    /// The later report
+    after: Utf8PathBuf,
+    /// Print the comparison as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct RunArgs {
+    /// A folder with *.queries.json, suite.json or task folders; or a list (ScanRefer, EmbodiedScan) or table (Nr3D, Sr3D, VLM-Grounder)
+    suite: Utf8PathBuf,
+    /// Write report.json, report.md, index.html here; replies are kept here too, so that a run goes on where it stopped
+    #[arg(long, default_value = "eval-out")]
+    out: Utf8PathBuf,
+    /// Where scans and annotations of the scenes lie, if not beside the suite
+    #[arg(long, value_name = "FOLDER")]
+    scenes: Option<Utf8PathBuf>,
+    /// What to vary: `axis=value,value;axis=…` over source, preset, masks, encoder, reasoner, ablation, top_k, convention
+    #[arg(long, default_value = "")]
+    matrix: String,
+    /// Ask a running server instead of this executable (its key: UNIGROUND_API_KEY)
+    #[arg(long, value_name = "URL")]
+    server: Option<String>,
+    /// Questions asked at once; latencies are honest with one
+    #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
+    concurrency: u16,
+    /// Score this many expressions, drawn by --seed
+    #[arg(long, value_name = "COUNT")]
+    sample: Option<usize>,
+    /// Of the sample and of the bootstrap
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// ScanNet's scannetv2-labels.combined.tsv: tells unique from multiple by ScanRefer's eighteen classes
+    #[arg(long, value_name = "FILE")]
+    label_map: Option<Utf8PathBuf>,
+    /// Hand over annotated target classes and anchors, as the paper's code does; the report says so
+    #[arg(long)]
+    paper_compatible: bool,
+    /// What to call this run in the report, e.g. the commit
+    #[arg(long)]
+    label: Option<String>,
+    /// Pictures of failures that become part of the page, per cell; the rest are links
+    #[arg(long, default_value_t = 200, value_name = "COUNT")]
+    embed: usize,
+    /// Fail when a cell is worse than in this baseline or report by more than luck
+    #[arg(long, value_name = "FILE")]
+    baseline: Option<Utf8PathBuf>,
+    /// Write what later runs are held against
+    #[arg(long, value_name = "FILE")]
+    write_baseline: Option<Utf8PathBuf>,
+}
+
+pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
+    match (&args.command, &args.run) {
+        (Some(EvalCommand::Diff(diff)), _) => compare(diff),
+        (None, Some(run)) => evaluate(run),
+        (None, None) => bail!("a suite is needed: uniground eval SUITE"),
+    }
+}
+
+fn evaluate(args: &RunArgs) -> anyhow::Result<()> {
+    let base = Configuration { paper_compatible: args.paper_compatible, ..Configuration::default() };
+    let cells = configuration::cells(&args.matrix, &base).context("--matrix")?;
+    let baseline = args.baseline.as_deref().map(Baseline::read).transpose().context("--baseline")?;
+    let options = SuiteOptions { scenes: args.scenes.clone(), label_map: args.label_map.clone() };
+    let mut suite = Suite::open(&args.suite, &options)?;
+    if let Some(count) = args.sample {
+        ensure!(count > 0, "--sample: nothing to score");
+        suite = suite.sampled(count, args.seed);
+    }
+    let system: Box<dyn System> = match &args.server {
+        Some(address) => Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?),
+        None => Box::new(InProcess::new()?),
+    };
+    suite.omissions.iter().for_each(|omission| eprintln!("left out: {omission}"));
+    let run = RunOptions { out: &args.out, cells: &cells, concurrency: args.concurrency.into(), progress: &show_progress };
+    let results = run_suite(&suite, system.as_ref(), &run)?;
+    let facts = RunFacts {
+        system: system.name(),
+        version: env!("CARGO_PKG_VERSION").into(),
+        label: args.label.clone(),
+        machine: machine(),
+        written_at: jiff::Timestamp::now().strftime("%Y-%m-%dT%H:%M:%SZ").to_string(),
+        paper_compatible: args.paper_compatible,
+        seed: args.seed,
+    };
+    let report = Report::new(&suite, facts, results);
+    report.write(&args.out, args.embed)?;
+    let mut out = io::stdout().lock();
+    writeln!(out, "{}", report.markdown())?;
+    writeln!(out, "{}", args.out.join("index.html"))?;
+    let now = Baseline::of(&report);
+    if let Some(file) = &args.write_baseline {
+        now.write(file)?;
+    }
+    baseline.map_or(Ok(()), |baseline| hold_against(&baseline, &now, &report, &mut out))
+}
+
+/// Fails on a drop, and on cells or expressions the baseline has and the run has not: what is not measured can not be held.
+fn hold_against(baseline: &Baseline, now: &Baseline, report: &Report, out: &mut impl Write) -> anyhow::Result<()> {
+    let queries = queries(report);
+    let (changes, _) = baseline.against(now);
+    writeln!(out, "\nAgainst the baseline{}:\n", baseline.label.as_ref().map_or_else(String::new, |label| format!(" ({label})")))?;
+    writeln!(out, "{}", describe(&changes, |id| queries.get(id).cloned()))?;
+    let missing: Vec<&String> = baseline.cells.keys().filter(|name| !now.cells.contains_key(*name)).collect();
+    ensure!(missing.is_empty(), "the baseline has cells this run has not: {missing:?}");
+    for (name, before) in &baseline.cells {
+        let gone = before.right.keys().filter(|id| !now.cells[name].right.contains_key(*id)).count();
+        ensure!(gone == 0, "{name}: {gone} expressions of the baseline were not scored");
+    }
+    let drops: Vec<&str> = changes.iter().filter(|c| c.thresholds.iter().any(|t| t.is_drop())).map(|c| c.cell.as_str()).collect();
+    ensure!(drops.is_empty(), "worse than the baseline by more than luck: {}", drops.join("; "));
+    Ok(())
+}
+
+fn compare(args: &DiffArgs) -> anyhow::Result<()> {
+    let (before, after) = (Baseline::read(&args.before)?, Baseline::read(&args.after)?);
+    let (changes, unpaired) = before.against(&after);
+    let mut out = io::stdout().lock();
+    if args.json {
+        writeln!(out, "{}", serde_json::to_string_pretty(&changes)?)?;
+    } else {
+        // Either may be a baseline, which knows no words.
+        let known: HashMap<String, String> = [&args.before, &args.after]
+            .into_iter()
+            .filter_map(|path| Report::read(path).ok())
+            .flat_map(|report| queries(&report))
+            .collect();
+        write!(out, "{}", describe(&changes, |id| known.get(id).cloned()))?;
+        unpaired.iter().try_for_each(|cell| writeln!(out, "{cell}: in one of the two only"))?;
+    }
+    ensure!(!changes.is_empty(), "the two have no cell in common");
+    Ok(())
+}
+
+fn queries(report: &Report) -> HashMap<String, String> {
+    let outcomes = report.cells.iter().flat_map(|cell| &cell.outcomes);
+    outcomes.map(|o| (o.id.clone(), o.query.clone())).collect()
+}
+
+/// One line that is written over; nothing where nobody watches.
+fn show_progress(step: &Step) {
+    if io::stderr().is_terminal() {
+        eprint!("\r{:>4} of {} {:<24.24} {:<48.48}\r", step.done, step.of, step.scene, step.cell);
+    }
+}
+
+/// "AMD EPYC 7763, 2 cores"
+fn machine() -> String {
+    let cores = std::thread::available_parallelism().map_or(1, std::num::NonZero::get);
+    let info = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = info.lines().find_map(|line| line.strip_prefix("model name")?.split_once(':'));
+    format!("{}, {cores} cores", model.map_or(std::env::consts::ARCH, |(_, name)| name.trim()))
+}

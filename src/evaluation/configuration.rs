@@ -1,0 +1,151 @@
+//! What is varied in a run: one [`Configuration`] per cell of the table, from `axis=value,value;axis=…`.
+
+use crate::grounding::direction::DirectionConvention;
+use crate::service::{Ablation, ParsePreset, ReasonerChoice};
+use anyhow::{Context, bail, ensure};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+/// Where instances come from: each bottleneck by itself.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Source {
+    /// Stage 1 on the scan: the whole system.
+    #[default]
+    Parsed,
+    /// Annotated boxes and names: language and space alone.
+    Oracle,
+    /// Annotated boxes, the encoder's names: what names cost.
+    OracleBoxes,
+    /// The candidates a task folder brings along (`ref.json`).
+    Recorded,
+}
+
+/// One cell: everything a reply depends on, beside the scene and the expression.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Configuration {
+    pub source: Source,
+    pub preset: ParsePreset,
+    pub masks: String,
+    pub encoder: String,
+    pub reasoner: ReasonerChoice,
+    pub ablation: Ablation,
+    pub top_k: u32,
+    pub convention: DirectionConvention,
+    pub paper_compatible: bool,
+}
+
+impl Default for Configuration {
+    fn default() -> Self {
+        Self {
+            source: Source::Parsed,
+            preset: ParsePreset::Default,
+            masks: MASKS[0].into(),
+            encoder: ENCODERS[0].into(),
+            reasoner: ReasonerChoice::Auto,
+            ablation: Ablation::Full,
+            top_k: 5,
+            convention: DirectionConvention::Paper,
+            paper_compatible: false,
+        }
+    }
+}
+
+/// Mask sources and encoders there are.
+const MASKS: [&str; 1] = ["rgbd"];
+const ENCODERS: [&str; 1] = ["attributes"];
+const MAX_TOP_K: u32 = 100;
+/// More cells than this are a mistake rather than a table.
+const MAX_CELLS: usize = 1000;
+
+/// Every combination of the values in `matrix` over `base`, in the order written; the last axis turns fastest.
+///
+/// # Errors
+/// An unknown axis or value, with what there is; an axis given twice; too many cells.
+pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, Configuration)>> {
+    let mut cells = vec![(String::new(), base.clone())];
+    let mut seen: Vec<&str> = Vec::new();
+    for part in matrix.split(';').map(str::trim).filter(|part| !part.is_empty()) {
+        let (axis, values) = part.split_once('=').with_context(|| format!("{part:?}: expected axis=value,value"))?;
+        let axis = axis.trim();
+        ensure!(!seen.contains(&axis), "the axis {axis} is given twice");
+        seen.push(axis);
+        let values: Vec<&str> = values.split(',').map(str::trim).filter(|value| !value.is_empty()).collect();
+        ensure!(!values.is_empty(), "the axis {axis} has no values");
+        ensure!(cells.len() * values.len() <= MAX_CELLS, "more than {MAX_CELLS} cells");
+        let mut varied = Vec::with_capacity(cells.len() * values.len());
+        for (name, configuration) in cells {
+            for value in &values {
+                let mut configuration = configuration.clone();
+                set(&mut configuration, axis, value)?;
+                let joint = if name.is_empty() { "" } else { ", " };
+                varied.push((format!("{name}{joint}{axis}={value}"), configuration));
+            }
+        }
+        cells = varied;
+    }
+    if let [(name, _)] = cells.as_mut_slice()
+        && name.is_empty()
+    {
+        "default".clone_into(name);
+    }
+    Ok(cells)
+}
+
+fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Result<()> {
+    let named = |known: &[&str]| match known.contains(&value) {
+        true => Ok(value.to_owned()),
+        false => bail!("{axis}={value}: there is only {}", known.join(", ")),
+    };
+    match axis {
+        "source" => configuration.source = word(axis, value, "parsed, oracle, oracle-boxes, recorded")?,
+        "preset" => configuration.preset = word(axis, value, "default, paper")?,
+        "reasoner" => configuration.reasoner = word(axis, value, "auto, builtin, vlm")?,
+        "ablation" => configuration.ablation = word(axis, value, "full, no_global, no_candidate, simple_prompt")?,
+        "convention" => configuration.convention = word(axis, value, "paper, viewer")?,
+        "masks" => configuration.masks = named(&MASKS)?,
+        "encoder" => configuration.encoder = named(&ENCODERS)?,
+        "top_k" => match value.parse() {
+            Ok(top_k) if (1..=MAX_TOP_K).contains(&top_k) => configuration.top_k = top_k,
+            _ => bail!("top_k={value}: expected 1 to {MAX_TOP_K}"),
+        },
+        _ => bail!("{axis}: unknown; the axes are source, preset, masks, encoder, reasoner, ablation, top_k, convention"),
+    }
+    Ok(())
+}
+
+/// A value in the words the HTTP contract uses.
+fn word<T: DeserializeOwned>(axis: &str, value: &str, known: &str) -> anyhow::Result<T> {
+    serde_json::from_value(value.into()).map_err(|_| anyhow::anyhow!("{axis}={value}: there is only {known}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_matrix_spells_out_every_combination_in_order() {
+        let cells = cells("source=oracle,parsed; top_k=3,5", &Configuration::default()).unwrap();
+        let names: Vec<&str> = cells.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(names, ["source=oracle, top_k=3", "source=oracle, top_k=5", "source=parsed, top_k=3", "source=parsed, top_k=5"]);
+        assert_eq!((cells[1].1.source, cells[1].1.top_k), (Source::Oracle, 5));
+        let plain = super::cells("", &Configuration::default()).unwrap();
+        assert_eq!(plain, [("default".to_owned(), Configuration::default())]);
+    }
+
+    #[test]
+    fn what_is_not_there_is_told_with_what_is() {
+        for (matrix, expected) in [
+            ("sources=oracle", "the axes are source"),
+            ("source=magic", "there is only parsed, oracle"),
+            ("encoder=pe-g14", "there is only attributes"),
+            ("top_k=0", "expected 1 to 100"),
+            ("top_k", "expected axis=value"),
+            ("top_k=3;top_k=5", "given twice"),
+            ("source=", "has no values"),
+        ] {
+            let error = cells(matrix, &Configuration::default()).unwrap_err().to_string();
+            assert!(error.contains(expected), "{matrix}: {error}");
+        }
+    }
+}

@@ -1,0 +1,98 @@
+//! Records of annotation files, one by one and with their lines: one broken record must not take the others along.
+
+use camino::{Utf8Path, Utf8PathBuf};
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
+
+/// Something of a suite that could not be used: the rest is scored without it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Omission {
+    pub file: Utf8PathBuf,
+    /// From 1; `None` when the whole file is meant.
+    pub line: Option<u64>,
+    pub reason: String,
+}
+
+impl Omission {
+    pub fn new(file: &Utf8Path, line: impl Into<Option<u64>>, reason: impl Into<String>) -> Self {
+        Self { file: file.to_owned(), line: line.into(), reason: reason.into() }
+    }
+}
+
+impl std::fmt::Display for Omission {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.line {
+            Some(line) => write!(f, "{}:{line}: {}", self.file, self.reason),
+            None => write!(f, "{}: {}", self.file, self.reason),
+        }
+    }
+}
+
+/// One element of a JSON list, and the line it starts at.
+#[derive(Debug, Clone, Copy)]
+pub struct Record<'a> {
+    pub line: u64,
+    raw: &'a str,
+}
+
+impl<'a> Record<'a> {
+    /// The elements of a JSON list.
+    ///
+    /// # Errors
+    /// When `text` is no JSON list.
+    pub fn all(text: &'a str) -> serde_json::Result<Vec<Self>> {
+        let raw: Vec<&RawValue> = serde_json::from_str(text)?;
+        Ok(Self::located(text, &raw))
+    }
+
+    /// Elements borrowed from `text`, in its order.
+    #[must_use]
+    pub fn located(text: &'a str, raw: &[&'a RawValue]) -> Vec<Self> {
+        let (mut line, mut counted_to) = (1, 0);
+        let locate = |value: &&'a RawValue| {
+            // The value is a slice of the text: its distance from the start is its place.
+            let at = (value.get().as_ptr() as usize).saturating_sub(text.as_ptr() as usize).min(text.len());
+            line += text.as_bytes()[counted_to.min(at)..at].iter().filter(|&&byte| byte == b'\n').count() as u64;
+            counted_to = at;
+            Self { line, raw: value.get() }
+        };
+        raw.iter().map(locate).collect()
+    }
+
+    /// Decodes this record; the error names the field and the line within the file.
+    ///
+    /// # Errors
+    /// An [`Omission`].
+    pub fn decode<T: DeserializeOwned>(&self, file: &Utf8Path) -> Result<T, Omission> {
+        serde_path_to_error::deserialize(&mut serde_json::Deserializer::from_str(self.raw)).map_err(|error| {
+            let path = error.path().to_string();
+            let inner = error.into_inner();
+            let line = self.line + (inner.line() as u64).saturating_sub(1);
+            let what = inner.to_string();
+            let what = what.split(" at line ").next().unwrap_or_default();
+            Omission::new(file, line, if path == "." { what.to_owned() } else { format!("{path}: {what}") })
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[derive(Debug, Deserialize)]
+    struct Row {
+        id: u32,
+    }
+
+    #[test]
+    fn a_broken_record_is_named_by_its_line_and_field() {
+        let text = "[\n {\"id\": 1},\n\n {\n  \"id\": \"two\"\n }, {\"id\": 3}]";
+        let records = Record::all(text).unwrap();
+        assert_eq!(records.iter().map(|r| r.line).collect::<Vec<_>>(), [2, 4, 6]);
+        let file = Utf8Path::new("rows.json");
+        assert_eq!(records[2].decode::<Row>(file).unwrap().id, 3);
+        let omission = records[1].decode::<Row>(file).unwrap_err();
+        assert_eq!(omission.to_string(), "rows.json:5: id: invalid type: string \"two\", expected u32");
+    }
+}

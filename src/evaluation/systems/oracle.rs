@@ -1,0 +1,85 @@
+//! Annotations as instances: perfect boxes, and perfect names or the encoder's.
+
+use crate::evaluation::annotations::{Annotations, SceneObject};
+use crate::geometry::boxes::{Aabb, OrientedBox};
+use crate::geometry::colour::ColourHistogram;
+use crate::models::attributes;
+use crate::progress::Progress;
+use crate::scene::{Instance, InstanceId, NameGuess, PointCloud, Structure, Support};
+use crate::scene_parsing::instances::supports;
+use nalgebra::Vector3;
+
+/// Who names annotated instances.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Names {
+    Annotated,
+    Encoder,
+}
+
+/// Instances with annotated boxes, in the order of the annotations. Colours are those of the points that belong to each object in
+/// `cloud`; where it has none, the annotated mean colour.
+#[must_use]
+pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: Names) -> Vec<Instance> {
+    let objects = &annotations.objects;
+    let label_of_point = annotations.label(cloud);
+    let mut colours: Vec<Vec<[u8; 3]>> = vec![Vec::new(); objects.len()];
+    for (&label, &colour) in label_of_point.iter().zip(&cloud.colours) {
+        if let Ok(i) = objects.binary_search_by_key(&label, |o| o.id) {
+            colours[i].push(colour);
+        }
+    }
+    let structures: Vec<Option<Structure>> = objects.iter().map(SceneObject::structure).collect();
+    let boxes: Vec<Aabb> = objects.iter().map(|o| o.aabb).collect();
+    let floor = objects.iter().find(|o| o.structure() == Some(Structure::Floor)).map(|o| o.aabb.max().z);
+    let floor_z = floor.or_else(|| boxes.iter().map(|b| b.min().z).min_by(f32::total_cmp)).unwrap_or(0.0);
+    // Nobody can cancel what is not told to anybody.
+    let supports = supports(&boxes, &structures, floor_z, &Progress::silent()).unwrap_or_else(|_| vec![Support::Nothing; objects.len()]);
+    let build = |(i, object): (usize, &SceneObject)| {
+        let seen = &colours[i];
+        let annotated = object.mean_rgb.map(|rgb| rgb.map(|v| v.clamp(0.0, 255.0) as u8));
+        let mean_rgb = mean(seen).or(annotated).unwrap_or([128; 3]);
+        let own = object.rotated_box();
+        // Only the yaw of a tilted box fits an oriented box; most things stand upright.
+        let (_, _, yaw_rad) = own.rotation.euler_angles();
+        let upright = own.rotation.transform_vector(&Vector3::z()).z > 0.99;
+        let oriented_box = match upright {
+            true => OrientedBox { center: own.center, size: own.size, yaw_rad },
+            false => OrientedBox { center: object.aabb.center, size: object.aabb.size, yaw_rad: 0.0 },
+        };
+        let mut instance = Instance {
+            id: InstanceId(i as u32 + 1),
+            aabb: object.aabb,
+            raw_box: object.aabb,
+            oriented_box,
+            point_count: seen.len() as u32,
+            mean_rgb,
+            colours: if seen.is_empty() { ColourHistogram::of([mean_rgb]) } else { ColourHistogram::of(seen.iter().copied()) },
+            planarity: 0.0,
+            structure: structures[i],
+            support: supports[i],
+            height_above_floor_m: object.aabb.min().z - floor_z,
+            views: Vec::new(),
+            names: Vec::new(),
+            given_name: None,
+        };
+        match names {
+            Names::Annotated => give_name(&mut instance, &object.name),
+            Names::Encoder => instance.names = attributes::name_guesses(&instance),
+        }
+        instance
+    };
+    objects.iter().enumerate().map(build).collect()
+}
+
+/// Names an instance, in the lexicon's word where it has one.
+pub(super) fn give_name(instance: &mut Instance, name: &str) {
+    let known = attributes::Lexicon::get().find(name).map_or_else(|| name.to_owned(), |noun| noun.name.clone());
+    instance.names = vec![NameGuess { name: known, score: 1.0 }];
+    instance.given_name = Some(name.to_owned());
+}
+
+fn mean(colours: &[[u8; 3]]) -> Option<[u8; 3]> {
+    let n = colours.len() as u64;
+    let sum = colours.iter().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
+    (n > 0).then(|| sum.map(|s| ((s + n / 2) / n) as u8))
+}

@@ -1,0 +1,180 @@
+//! A running server, over HTTP: scans are uploaded once and stay there.
+
+use super::{OpenScene, System};
+use crate::client::Client;
+use crate::evaluation::configuration::{Configuration, Source};
+use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
+use crate::evaluation::suite::{Expression, Hints, SuiteScene};
+use crate::geometry::boxes::Aabb;
+use crate::ingest::archive::ArchiveKind;
+use crate::ingest::read_cloud;
+use crate::jobs::JobState;
+use crate::scene::PointCloud;
+use crate::service::{GroundRequest, ParsePreset, ShortlistRequest};
+use anyhow::{Context, bail, ensure};
+use camino::{Utf8Path, Utf8PathBuf};
+use reqwest::Body;
+use sha2::{Digest, Sha256};
+use std::fs::{self, File};
+use std::io::Read;
+use std::sync::Arc;
+use std::time::Instant;
+use tempfile::TempDir;
+use tokio::runtime::Runtime;
+use tokio_util::io::ReaderStream;
+
+/// A server, and the runtime to speak with it from threads that know of none.
+pub struct Server {
+    client: Client,
+    address: String,
+    runtime: Arc<Runtime>,
+}
+
+struct RemoteScene {
+    client: Client,
+    runtime: Arc<Runtime>,
+    id: String,
+    boxes: Vec<Aabb>,
+    cloud: PointCloud,
+}
+
+impl Server {
+    /// # Errors
+    /// An address that is none, or a server that is not ready.
+    pub fn connect(address: &str, api_key: Option<String>) -> anyhow::Result<Self> {
+        let client = Client::new(address, api_key)?;
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
+        runtime
+            .block_on(client.scenes(1, None))
+            .with_context(|| format!("the server at {address}"))?;
+        Ok(Self { client, address: address.to_owned(), runtime: runtime.into() })
+    }
+}
+
+impl System for Server {
+    fn name(&self) -> String {
+        self.address.clone()
+    }
+
+    fn fingerprint(&self) -> &str {
+        &self.address
+    }
+
+    fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()> {
+        let Configuration { source, preset, paper_compatible, .. } = configuration;
+        ensure!(*source == Source::Parsed, "a server parses by itself: annotated and recorded instances need a run in process");
+        ensure!(*preset == ParsePreset::Default, "a server parses with its own settings: presets need a run in process");
+        ensure!(!paper_compatible, "a server takes no annotated hints: --paper-compatible needs a run in process");
+        Ok(())
+    }
+
+    fn enter(&self, scene: &SuiteScene, _: &Configuration) -> anyhow::Result<Box<dyn OpenScene>> {
+        let scan = scene.scan.as_deref().with_context(|| format!("the scene {} has no scan", scene.id))?;
+        let archive = Archive::of(scan)?;
+        // The same scan again finds the scene it made before.
+        let key = format!("evaluation-{}", archive.digest()?);
+        self.runtime.block_on(async {
+            let body = Body::wrap_stream(ReaderStream::new(tokio::fs::File::open(&archive.path).await?));
+            let created = self.client.create_scene_once(&scene.id, archive.media_type, body, &key).await?;
+            let job = created.job.context("the server parses nothing by itself")?;
+            let job = self.client.follow_job(&job.id, |_| {}).await?;
+            if job.state != JobState::Succeeded {
+                let why = job.error.map_or_else(|| format!("it ended as {:?}", job.state), |e| format!("{} ({})", e.detail, e.code));
+                bail!("the parse of {} failed: {why}", scene.id);
+            }
+            let id = created.scene.id;
+            let boxes = self.client.all_instances(&id).await?.iter().map(|i| i.aabb).collect();
+            let cloud = self.client.bytes(&format!("v1/scenes/{id}/cloud.ply")).await?;
+            let folder = tempfile::tempdir()?;
+            let file = Utf8Path::from_path(folder.path()).context("the temporary folder is no text")?.join("cloud.ply");
+            fs::write(&file, cloud)?;
+            let cloud = read_cloud(&file)?;
+            let scene = RemoteScene { client: self.client.clone(), runtime: self.runtime.clone(), id, boxes, cloud };
+            Ok(Box::new(scene) as Box<dyn OpenScene>)
+        })
+    }
+}
+
+impl OpenScene for RemoteScene {
+    fn ask(&self, expression: &Expression, configuration: &Configuration, _: Option<&Hints>) -> anyhow::Result<Reply> {
+        let Configuration { reasoner, ablation, top_k, convention, .. } = configuration;
+        let request = GroundRequest {
+            query: expression.query.clone(),
+            top_k: *top_k,
+            reasoner: *reasoner,
+            ablation: *ablation,
+            direction_convention: *convention,
+            observer: None,
+            include: None,
+            max_cost_usd: None,
+            timeout_s: None,
+        };
+        let shortlist = ShortlistRequest { query: expression.query.clone(), top_k: SHORTLIST_DEPTH };
+        self.runtime.block_on(async {
+            let start = Instant::now();
+            let answer = self.client.ground(&self.id, &request).await?;
+            let latency_ms = start.elapsed().as_secs_f64() * 1e3;
+            let shortlist = self.client.shortlist(&self.id, &shortlist).await?;
+            Ok(Reply {
+                status: answer.status,
+                answer: answer.answer,
+                aabb: answer.aabb,
+                oriented_box: answer.oriented_box,
+                confidence: answer.confidence,
+                candidates: answer.candidates.unwrap_or_default(),
+                shortlist: shortlist.candidates.iter().map(|c| c.aabb).collect(),
+                models: answer.models,
+                usage: answer.usage,
+                latency_ms,
+            })
+        })
+    }
+
+    fn boxes(&self) -> &[Aabb] {
+        &self.boxes
+    }
+
+    fn cloud(&self) -> &PointCloud {
+        &self.cloud
+    }
+}
+
+/// A scan as the server takes it; folders and bare clouds are packed.
+struct Archive {
+    media_type: &'static str,
+    path: Utf8PathBuf,
+    _temporary: Option<TempDir>,
+}
+
+impl Archive {
+    fn of(scan: &Utf8Path) -> anyhow::Result<Self> {
+        if let Some(kind) = ArchiveKind::of_file_name(scan.as_str()).filter(|_| scan.is_file()) {
+            return Ok(Self { media_type: kind.media_type(), path: scan.to_owned(), _temporary: None });
+        }
+        let temporary = tempfile::tempdir()?;
+        let path: Utf8PathBuf = temporary.path().join("scan.tar").try_into()?;
+        let mut tar = tar::Builder::new(File::create(&path)?);
+        if scan.is_dir() {
+            tar.append_dir_all(".", scan)?;
+        } else if scan.extension() == Some("ply") {
+            tar.append_path_with_name(scan, "cloud.ply")?;
+        } else {
+            bail!("{scan}: expected a folder, .zip, .tar, .tar.zst or .ply");
+        }
+        tar.into_inner()?.sync_all()?;
+        Ok(Self { media_type: ArchiveKind::Tar.media_type(), path, _temporary: Some(temporary) })
+    }
+
+    fn digest(&self) -> anyhow::Result<String> {
+        let mut hasher = Sha256::new();
+        let mut file = File::open(&self.path).with_context(|| self.path.to_string())?;
+        let mut chunk = vec![0; 1 << 16];
+        loop {
+            match file.read(&mut chunk)? {
+                0 => break,
+                n => hasher.update(&chunk[..n]),
+            }
+        }
+        Ok(hasher.finalize().iter().take(16).map(|byte| format!("{byte:02x}")).collect())
+    }
+}
