@@ -50,7 +50,7 @@ struct RunArgs {
     #[arg(long, value_name = "FOLDER")]
     scenes: Option<Utf8PathBuf>,
     /// What to vary: `axis=value,value;axis=…` over source, preset, masks, encoder, reasoner, ablation, top_k, convention
-    #[arg(long, default_value = "")]
+    #[arg(long, default_value = "", value_parser = check_matrix)]
     matrix: String,
     /// Ask a running server instead of this executable (its key: UNIGROUND_API_KEY)
     #[arg(long, value_name = "URL")]
@@ -84,6 +84,12 @@ struct RunArgs {
     write_baseline: Option<Utf8PathBuf>,
 }
 
+fn check_matrix(matrix: &str) -> Result<String, String> {
+    configuration::cells(matrix, &Configuration::default())
+        .map(|_| matrix.to_owned())
+        .map_err(|error| error.to_string())
+}
+
 pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
     match (&args.command, &args.run) {
         (Some(EvalCommand::Diff(diff)), _) => compare(diff),
@@ -94,7 +100,7 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
 
 fn evaluate(args: &RunArgs) -> anyhow::Result<()> {
     let base = Configuration { paper_compatible: args.paper_compatible, ..Configuration::default() };
-    let cells = configuration::cells(&args.matrix, &base).context("--matrix")?;
+    let cells = configuration::cells(&args.matrix, &base)?;
     let baseline = args.baseline.as_deref().map(Baseline::read).transpose().context("--baseline")?;
     let options = SuiteOptions { scenes: args.scenes.clone(), label_map: args.label_map.clone() };
     let mut suite = Suite::open(&args.suite, &options)?;

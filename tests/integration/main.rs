@@ -9,6 +9,7 @@ mod access;
 mod archives;
 mod bad_input;
 mod conventions;
+mod evaluation;
 mod layering;
 mod openapi;
 mod requests;

@@ -38,11 +38,12 @@ pub(super) fn lines(title: &str, x_label: &str, lines: &[Line], top: Option<f32>
         for (x, y) in &line.points {
             let _ = write!(svg, "<circle cx=\"{:.1}\" cy=\"{:.1}\" r=\"2.5\" fill=\"{colour}\"/>", x_of(*x), y_of(*y));
         }
-        let y = TOP + 12.0 + 14.0 * i as f32;
+        // Curves rise to the right: the legend stands where they seldom are.
+        let y = HEIGHT - BOTTOM - 8.0 - 14.0 * (lines.len() - 1 - i) as f32;
         let name = super::html::escaped(&line.name);
-        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{y:.1}\" text-anchor=\"end\" fill=\"{colour}\">{name}</text>", WIDTH - 10.0);
+        let _ = write!(svg, "<text x=\"{:.1}\" y=\"{y:.1}\" text-anchor=\"end\" style=\"fill:{colour}\">{name}</text>", WIDTH - 10.0);
     }
-    svg.push_str("</svg>");
+    svg.push_str("</svg></figure>");
     svg
 }
 
@@ -67,7 +68,7 @@ pub(super) fn histogram(title: &str, x_label: &str, counts: &[usize]) -> String 
         let x = LEFT + at * (WIDTH - LEFT - 10.0);
         let _ = write!(svg, "<text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{at}</text>", HEIGHT - BOTTOM + 14.0);
     }
-    svg.push_str("</svg>");
+    svg.push_str("</svg></figure>");
     svg
 }
 

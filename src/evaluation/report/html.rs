@@ -14,8 +14,8 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::fs;
 
-const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1180px;margin:2rem auto;padding:0 1rem;color:#222}\
-table{border-collapse:collapse;margin:1rem 0;font-size:14px}td,th{padding:.2rem .7rem;border-bottom:1px solid #ddd;text-align:right}\
+const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1400px;margin:2rem auto;padding:0 1rem;color:#222}\
+table{border-collapse:collapse;margin:1rem 0;font-size:14px}td,th{padding:.2rem .6rem;border-bottom:1px solid #ddd;text-align:right;white-space:nowrap}th{white-space:normal}\
 td:first-child,th:first-child{text-align:left}figure{display:inline-block;margin:.5rem 1.5rem .5rem 0}figcaption{font-weight:600}\
 svg text{font-size:11px;fill:#444}.note{background:#fff4d6;padding:.3rem .8rem;margin:.4rem 0}\
 .failure{display:grid;grid-template-columns:minmax(0,460px) 1fr;gap:1rem;border-top:1px solid #ddd;padding:1rem 0}\
@@ -199,7 +199,7 @@ fn cost_charts(report: &Report) -> String {
 fn table<'a>(rows: impl Iterator<Item = (&'a str, &'a Figures)>, whole: bool) -> String {
     let more = if whole { "<th>ambiguous<th>failed<th>ms p50<th>p95<th>p99<th>calls<th>tokens<th>USD" } else { "" };
     let mut html = format!(
-        "<table><tr><th><th>n<th>Acc@.25<th>Acc@.5<th>filtered .25<th>.5<th>mean IoU<th>recall@k .25<th>.5<th>any instance .25\
+        "<table><tr><th><th>n<th>Acc@.25<th>Acc@.5<th>filtered .25<th>.5<th>mean IoU<th>first .25<th>recall@k .25<th>.5<th>any instance .25\
          <th>absent told<th>no_match right<th>denied{more}</tr>"
     );
     let percent = |share: Option<f32>| share.map_or_else(|| "-".to_owned(), |v| format!("{:.1}", v * 100.0));
@@ -208,7 +208,7 @@ fn table<'a>(rows: impl Iterator<Item = (&'a str, &'a Figures)>, whole: bool) ->
         let recall = f.recall_at.last().filter(|_| targets);
         let _ = write!(
             html,
-            "<tr><td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}",
+            "<tr><td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}<td>{}",
             escaped(name),
             f.expressions,
             interval(&f.complete[0]),
@@ -216,6 +216,7 @@ fn table<'a>(rows: impl Iterator<Item = (&'a str, &'a Figures)>, whole: bool) ->
             interval(&f.filtered[0]),
             interval(&f.filtered[1]),
             if targets { format!("{:.3}", f.mean_iou) } else { "-".into() },
+            percent(f.recall_at.first().filter(|_| targets).map(|r| r[0])),
             percent(recall.map(|r| r[0])),
             percent(recall.map(|r| r[1])),
             percent(targets.then_some(f.any_instance[0])),

@@ -47,8 +47,8 @@ pub(super) fn page(report: &Report) -> String {
     page
 }
 
-const HEAD: &str = "| | n | Acc@.25 | Acc@.5 | filtered .25 | .5 | mIoU | recall@k .25 | any instance .25 | absent told | denied |";
-const RULE: &str = "|---|---|---|---|---|---|---|---|---|---|---|";
+const HEAD: &str = "| | n | Acc@.25 | Acc@.5 | filtered .25 | .5 | mIoU | first .25 | recall@k .25 | any instance .25 | absent told | denied |";
+const RULE: &str = "|---|---|---|---|---|---|---|---|---|---|---|---|";
 
 /// One row per cell.
 fn cells_table(report: &Report) -> String {
@@ -92,14 +92,15 @@ fn row(name: &str, f: &Figures) -> String {
     let has_targets = f.complete[0].of > 0;
     let [any, _] = f.any_instance;
     format!(
-        "| {name} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
+        "| {name} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
         f.expressions,
         interval(&f.complete[0]),
         interval(&f.complete[1]),
         interval(&f.filtered[0]),
         interval(&f.filtered[1]),
         if has_targets { format!("{:.3}", f.mean_iou) } else { "-".into() },
-        percent(recall),
+        percent(f.recall_at.first().filter(|_| has_targets).map(|r| r[0])),
+        percent(recall.filter(|_| has_targets)),
         percent(has_targets.then_some(any)),
         percent(f.abstention.recall),
         percent(f.abstention.denied)

@@ -1,0 +1,207 @@
+//! `uniground eval` on the sample scene: figures, going on where it stopped, reports, comparison.
+
+use crate::server::TestServer;
+use camino::{Utf8Path, Utf8PathBuf};
+use std::fs;
+use std::process::{Command, Output};
+use uniground::evaluation::configuration::{self, Configuration};
+use uniground::evaluation::report::Report;
+use uniground::evaluation::run::{RunOptions, run};
+use uniground::evaluation::suite::{Suite, SuiteOptions};
+use uniground::evaluation::systems::Server;
+
+const EXAMPLES: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
+
+fn eval(out: &Utf8Path, args: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
+    command.args(["eval", EXAMPLES, "--out", out.as_str()]).args(args).output().unwrap()
+}
+
+fn text(output: &[u8]) -> String {
+    String::from_utf8_lossy(output).into_owned()
+}
+
+/// A fresh folder.
+fn folder() -> (tempfile::TempDir, Utf8PathBuf) {
+    let temporary = tempfile::tempdir().unwrap();
+    let path = Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
+    (temporary, path)
+}
+
+/// A report without what differs from run to run.
+fn comparable(out: &Utf8Path) -> Report {
+    let mut report = Report::read(out).unwrap();
+    report.run.written_at.clear();
+    for cell in &mut report.cells {
+        let figures = cell.splits.values_mut().chain(cell.by_scene.values_mut());
+        figures.chain([&mut cell.figures]).for_each(|f| f.latency_ms = None);
+        cell.outcomes.iter_mut().filter_map(|o| o.reply.as_mut()).for_each(|r| r.latency_ms = 0.0);
+    }
+    report
+}
+
+fn files_below(folder: &Utf8Path) -> Vec<Utf8PathBuf> {
+    let mut files = Vec::new();
+    for entry in folder.read_dir_utf8().unwrap() {
+        let path = entry.unwrap().into_path();
+        if path.is_dir() { files.extend(files_below(&path)) } else { files.push(path) }
+    }
+    files
+}
+
+#[test]
+fn a_run_scores_every_source_and_goes_on_where_it_stopped() {
+    let (_keep, out) = folder();
+    let matrix = ["--matrix", "source=parsed,oracle,oracle-boxes"];
+    let first = eval(&out, &matrix);
+    assert!(first.status.success(), "{}", text(&first.stderr));
+    println!("{}", text(&first.stdout));
+    let report = comparable(&out);
+    let names: Vec<&str> = report.cells.iter().map(|c| c.name.as_str()).collect();
+    assert_eq!(names, ["source=parsed", "source=oracle", "source=oracle-boxes"]);
+    for cell in &report.cells {
+        assert_eq!((cell.figures.expressions, cell.figures.complete[0].of, cell.figures.abstention.absent), (19, 16, 3));
+        assert_eq!(cell.by_scene.keys().collect::<Vec<_>>(), ["living_room"]);
+    }
+    // Perfect boxes and names can only help; nothing bounds a target better than its own box.
+    let [parsed, oracle, boxes] = &report.cells[..] else { panic!("{names:?}") };
+    assert!(oracle.figures.complete[0].value >= parsed.figures.complete[0].value);
+    assert_eq!((oracle.figures.any_instance, boxes.figures.any_instance), ([1.0; 2], [1.0; 2]));
+    assert!(oracle.figures.complete[0].value >= 0.85, "language and space alone: {:?}", oracle.figures.complete);
+
+    // Every wrong answer is on the page with its picture, and the page needs nothing beside it.
+    let page = fs::read_to_string(out.join("index.html")).unwrap();
+    for failure in report.cells.iter().flat_map(uniground::evaluation::report::CellReport::failures) {
+        let picture = failure.picture.as_ref().unwrap();
+        assert!(out.join("pictures").join(picture).is_file(), "{failure:?}");
+        assert!(page.contains(&failure.query), "{}", failure.query);
+    }
+    assert!(page.contains("data:image/jpeg;base64,") && !page.contains("src=\"pictures/"));
+
+    // Cut off in the middle of a reply: only what is missing is asked again, and the result is the same.
+    let logs = files_below(&out.join("cells"));
+    assert_eq!(logs.len(), 3);
+    let before: Vec<Vec<u8>> = logs.iter().map(|log| fs::read(log).unwrap()).collect();
+    fs::write(&logs[0], &before[0][..before[0].len() - 40]).unwrap();
+    let second = eval(&out, &matrix);
+    assert!(second.status.success(), "{}", text(&second.stderr));
+    assert_eq!(comparable(&out), report);
+    assert_eq!(fs::read(&logs[1]).unwrap(), before[1], "what was there was asked again");
+    let lines = |bytes: &[u8]| bytes.split(|b| *b == b'\n').count();
+    assert_eq!(lines(&fs::read(&logs[0]).unwrap()), lines(&before[0]));
+}
+
+#[test]
+fn a_server_gives_the_same_figures_as_the_process() {
+    let (_keep, out) = folder();
+    let local = eval(&out, &["--concurrency", "4"]);
+    assert!(local.status.success(), "{}", text(&local.stderr));
+    let local = comparable(&out);
+
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let server = runtime.block_on(TestServer::start());
+    let (_keep, remote_out) = folder();
+    let suite = Suite::open(Utf8Path::new(EXAMPLES), &SuiteOptions::default()).unwrap();
+    let cells = configuration::cells("", &Configuration::default()).unwrap();
+    let system = Server::connect(&server.url(), None).unwrap();
+    let options = RunOptions { out: &remote_out, cells: &cells, concurrency: 1, progress: &|_| {} };
+    let remote = Report::new(&suite, local.run.clone(), run(&suite, &system, &options).unwrap());
+    for (here, there) in local.cells[0].outcomes.iter().zip(&remote.cells[0].outcomes) {
+        assert_eq!((&here.id, here.is_right(), here.status()), (&there.id, there.is_right(), there.status()));
+        assert_eq!(here.target.as_ref().map(|t| &t.candidate_ious), there.target.as_ref().map(|t| &t.candidate_ious), "{}", here.query);
+    }
+    // Asked again, the server still has the scene.
+    let (_keep, again_out) = folder();
+    let options = RunOptions { out: &again_out, ..options };
+    run(&suite, &system, &options).unwrap();
+    assert_eq!(runtime.block_on(server.client.scenes(100, None)).unwrap().scenes.len(), 1);
+    // What only the process can do is refused before anything is asked.
+    let oracle = configuration::cells("source=oracle", &Configuration::default()).unwrap();
+    let refused = run(&suite, &system, &RunOptions { cells: &oracle, ..options }).unwrap_err();
+    assert!(format!("{refused:#}").contains("need a run in process"), "{refused:#}");
+    drop(system);
+    runtime.block_on(server.stop());
+}
+
+#[test]
+fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
+    let (_keep, out) = folder();
+    let baseline = out.join("baseline.json");
+    let matrix = ["--matrix", "source=oracle"];
+    let written = eval(&out, &[&matrix[..], &["--write-baseline", baseline.as_str()]].concat());
+    assert!(written.status.success(), "{}", text(&written.stderr));
+    let held = eval(&out, &[&matrix[..], &["--baseline", baseline.as_str()]].concat());
+    assert!(held.status.success(), "{}", text(&held.stderr));
+
+    // The same expressions with most of the targets exchanged: what was right is wrong now.
+    let worse = out.join("worse");
+    fs::create_dir(&worse).unwrap();
+    for name in ["living_room.zip", "living_room.scene.json"] {
+        fs::copy(Utf8Path::new(EXAMPLES).join(name), worse.join(name)).unwrap();
+    }
+    let queries = fs::read_to_string(Utf8Path::new(EXAMPLES).join("living_room.queries.json")).unwrap();
+    let lines = queries.lines().enumerate().map(|(i, line)| match line.split_once("\"target_id\": ") {
+        Some((head, tail)) if i < 13 => format!("{head}\"target_id\": 1{}", &tail[tail.find(',').unwrap()..]),
+        _ => line.to_owned(),
+    });
+    fs::write(worse.join("living_room.queries.json"), lines.collect::<Vec<_>>().join("\n")).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
+    let fallen = command.args(["eval", worse.as_str(), "--out", out.join("worse-out").as_str()]).args(matrix);
+    let fallen = fallen.args(["--baseline", baseline.as_str()]).output().unwrap();
+    assert_eq!(fallen.status.code(), Some(1));
+    assert!(text(&fallen.stderr).contains("worse than the baseline by more than luck: source=oracle"), "{}", text(&fallen.stderr));
+    assert!(text(&fallen.stdout).contains("lost in source=oracle: living_room#1: the dining table"), "{}", text(&fallen.stdout));
+
+    let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
+    let difference = command.args(["eval", "diff", out.as_str(), out.join("worse-out").as_str()]).output().unwrap();
+    assert!(difference.status.success());
+    assert!(text(&difference.stdout).contains("**drop**"), "{}", text(&difference.stdout));
+}
+
+#[test]
+fn scenes_that_can_not_be_used_are_left_out_and_told() {
+    let (_keep, root) = folder();
+    fs::copy(Utf8Path::new(EXAMPLES).join("living_room.scene.json"), root.join("broken.scene.json")).unwrap();
+    fs::copy(Utf8Path::new(EXAMPLES).join("living_room.scene.json"), root.join("bare.scene.json")).unwrap();
+    fs::write(root.join("broken.zip"), "this is no archive").unwrap();
+    let query = r#"[{"query": "the dining table", "target_id": 19}, {"query": "the hat", "target_id": 99}]"#;
+    fs::write(root.join("broken.queries.json"), query).unwrap();
+    fs::write(root.join("bare.queries.json"), query).unwrap();
+    let out = root.join("out");
+    let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
+    let output = command.args(["eval", root.as_str(), "--out", out.as_str(), "--matrix", "source=parsed,oracle"]).output().unwrap();
+    assert!(output.status.success(), "{}", text(&output.stderr));
+    let told = text(&output.stderr);
+    assert!(told.contains("bare.queries.json:1: target 99 is not in the annotations of bare"), "{told}");
+    let report = Report::read(&out).unwrap();
+    assert_eq!((report.expressions, report.omissions.len()), (2, 2));
+    let [parsed, oracle] = &report.cells[..] else { panic!() };
+    assert_eq!((parsed.outcomes.len(), parsed.left_out.len()), (0, 2));
+    assert!(parsed.left_out.iter().any(|l| l.reason.contains("has no scan")), "{:?}", parsed.left_out);
+    // Annotations alone are enough for the oracle; a broken scan beside them is not passed over.
+    assert_eq!(oracle.outcomes.iter().map(|o| (o.id.as_str(), o.is_right())).collect::<Vec<_>>(), [("bare#1", true)]);
+    assert_eq!(oracle.left_out.len(), 1);
+}
+
+#[test]
+fn wrong_usage_is_told_before_anything_runs() {
+    let (_keep, out) = folder();
+    for (args, expected) in [
+        (&["--matrix", "colour=red"][..], "the axes are source"),
+        (&["--concurrency", "0"], "0 is not in 1..=256"),
+        (&["--matrix", "top_k=5,1000"], "expected 1 to 100"),
+    ] {
+        let output = eval(&out, args);
+        assert_eq!(output.status.code(), Some(2), "{args:?}");
+        assert!(text(&output.stderr).contains(expected), "{}", text(&output.stderr));
+    }
+    for (args, expected) in [
+        (&["--matrix", "reasoner=vlm"][..], "no vision-language model is configured"),
+        (&["--server", "http://127.0.0.1:1"], "the server at http://127.0.0.1:1"),
+        (&["--baseline", "no-such.json"], "no-such.json"),
+    ] {
+        let output = eval(&out, args);
+        assert_eq!(output.status.code(), Some(1), "{args:?}");
+        assert!(text(&output.stderr).contains(expected), "{}", text(&output.stderr));
+    }
+}
