@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: demo serve test lint fmt bench bench-quality bench-superpoints bench-scale openapi schemathesis clean
+.PHONY: demo serve test lint fmt bench bench-quality quality bench-superpoints bench-scale openapi schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -25,8 +25,13 @@ fmt:
 bench: ## All benches: pipelines, questions over HTTP, memory of a 1 GB upload, and the three below
 	$(CARGO) bench --locked
 
-bench-quality: ## Superpoints and instances against annotated rooms (ROOMS=folder)
+bench-quality: ## Both stages against annotated rooms (ROOMS=folder), held against benches/quality.json
 	$(CARGO) bench --locked --quiet --bench quality -- $(ROOMS)
+	$(MAKE) quality
+
+quality: ## Answers against annotated rooms (ROOMS=folder), held against benches/quality.json; the page is target/quality/index.html
+	$(CARGO) build --release --locked --quiet
+	ROOMS=$(ROOMS) scripts/quality.sh
 
 bench-superpoints: ## Superpoints beside PCL's VCCS, alternating (needs a C++ compiler and Debian's libpcl-dev)
 	mkdir -p target/peers

@@ -90,7 +90,8 @@ impl Figures {
         let retained: Vec<&Outcome> =
             targets.iter().filter(|(_, t)| best(&t.candidate_ious) >= IOU_THRESHOLDS[0]).map(|(o, _)| *o).collect();
         let with_target: Vec<&Outcome> = targets.iter().map(|(o, _)| *o).collect();
-        let mean = |values: &mut dyn Iterator<Item = f32>| values.sum::<f32>() / targets.len().max(1) as f32;
+        // An empty sum of floats is minus zero: folding from zero is not.
+        let mean = |values: &mut dyn Iterator<Item = f32>| values.fold(0.0, |sum, v| sum + v) / targets.len().max(1) as f32;
         let recall = |of: &dyn Fn(&TargetOutcome) -> f32| {
             IOU_THRESHOLDS.map(|at| mean(&mut targets.iter().map(|(_, t)| f32::from(u8::from(of(t) >= at)))))
         };
@@ -117,7 +118,7 @@ impl Figures {
             vlm_calls: per_question(answered.clone().map(|r| u64::from(r.usage.vlm_calls)).sum()),
             prompt_tokens: per_question(answered.clone().map(|r| r.usage.prompt_tokens).sum()),
             completion_tokens: per_question(answered.clone().map(|r| r.usage.completion_tokens).sum()),
-            cost_usd: answered.clone().map(|r| r.usage.cost_usd).sum(),
+            cost_usd: answered.clone().fold(0.0, |sum, r| sum + r.usage.cost_usd),
             latency_ms: Percentiles::of(answered.map(|r| r.latency_ms).collect()),
             iou_histogram,
         }
@@ -127,7 +128,7 @@ impl Figures {
 impl Share {
     fn of_right(outcomes: &[&Outcome], at: f32, seed: u64) -> Self {
         let values: Vec<(&str, f32)> = outcomes.iter().map(|o| (o.scene.as_str(), f32::from(u8::from(o.right_at(at))))).collect();
-        let value = values.iter().map(|(_, v)| v).sum::<f32>() / values.len().max(1) as f32;
+        let value = values.iter().fold(0.0, |sum, (_, v)| sum + v) / values.len().max(1) as f32;
         let (low, high) = interval(&values, seed);
         Self { of: values.len(), value, low, high }
     }

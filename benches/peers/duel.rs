@@ -1,0 +1,76 @@
+//! Two sides of one comparison, run in turns.
+
+use std::time::Duration;
+use uniground::geometry::statistics::median;
+
+/// Runs that count, after one of each side that does not.
+pub const ROUNDS: usize = 9;
+/// Between runs: threads of a peer that still spin for more work must not take a core from the next.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// One run: milliseconds, and in a few words what came out.
+pub struct Run {
+    pub ms: f32,
+    pub gives: String,
+}
+
+/// Something to time, or why there is nothing.
+pub type Side<'a> = Box<dyn FnMut() -> anyhow::Result<Run> + 'a>;
+
+/// What our side stands for.
+pub enum Ours<'a> {
+    /// The same job as the peer's.
+    Same(Side<'a>),
+    /// The job is a part of this one and can not be had alone: its time is a bound.
+    Within(Side<'a>),
+    Nothing,
+}
+
+pub struct Comparison<'a> {
+    pub what: String,
+    pub ours: Ours<'a>,
+    pub peer: Side<'a>,
+    /// How the two jobs differ, for whoever reads the ratio.
+    pub differ: &'static str,
+}
+
+/// Medians of one comparison; a side that failed says why.
+pub struct Outcome {
+    pub what: String,
+    pub differ: &'static str,
+    pub ours: Option<Result<Run, String>>,
+    pub peer: Result<Run, String>,
+    /// Whether our figure is an upper bound.
+    pub bound: bool,
+}
+
+impl Comparison<'_> {
+    pub fn run(self) -> Outcome {
+        let Self { what, ours, mut peer, differ } = self;
+        let bound = matches!(ours, Ours::Within(_));
+        let mut ours = match ours {
+            Ours::Same(side) | Ours::Within(side) => Some(side),
+            Ours::Nothing => None,
+        };
+        let mut own_runs = Vec::new();
+        let mut peer_runs = Vec::new();
+        for _ in 0..=ROUNDS {
+            own_runs.extend(ours.as_mut().map(turn));
+            peer_runs.push(turn(&mut peer));
+        }
+        Outcome { what, differ, ours: ours.map(|_| summed_up(own_runs)), peer: summed_up(peer_runs), bound }
+    }
+}
+
+fn turn(side: &mut Side) -> anyhow::Result<Run> {
+    std::thread::sleep(PAUSE);
+    side()
+}
+
+/// The median of all but the first run. One failure spoils the row: what is left would be a selection.
+fn summed_up(runs: Vec<anyhow::Result<Run>>) -> Result<Run, String> {
+    let runs = runs.into_iter().collect::<anyhow::Result<Vec<_>>>().map_err(|e| format!("{e:#}"))?;
+    let mut ms: Vec<f32> = runs.iter().skip(1).map(|run| run.ms).collect();
+    let gives = runs.last().map(|run| run.gives.clone()).unwrap_or_default();
+    Ok(Run { ms: median(&mut ms).unwrap_or_default(), gives })
+}

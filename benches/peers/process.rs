@@ -1,0 +1,70 @@
+//! A peer as a long-lived child: one command a line, one answer a line, timed by the peer itself (`protocol.py`).
+
+use crate::duel::Run;
+use anyhow::{Context, bail, ensure};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read, Seek, Write};
+use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
+
+/// A running peer; it ends with its stdin.
+pub struct Process {
+    child: Child,
+    commands: Option<ChildStdin>,
+    answers: BufReader<ChildStdout>,
+    /// What it complains of: the last line says why it ended.
+    complaints: File,
+    /// Library and language, as the peer names them.
+    pub versions: String,
+}
+
+impl Process {
+    /// Starts a script of `benches/peers` and waits until it has imported all it needs.
+    pub fn start(python: &str, script: &str) -> anyhow::Result<Self> {
+        let complaints = tempfile::tempfile()?;
+        let mut child = Command::new(python)
+            .args(["-B", &format!("{}/benches/peers/{script}", env!("CARGO_MANIFEST_DIR"))])
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(complaints.try_clone()?)
+            .spawn()
+            .with_context(|| python.to_owned())?;
+        let commands = child.stdin.take();
+        let answers = BufReader::new(child.stdout.take().context("no stdout")?);
+        let mut process = Self { child, commands, answers, complaints, versions: String::new() };
+        let line = process.line()?;
+        line.strip_prefix("ready ").with_context(|| line.clone())?.clone_into(&mut process.versions);
+        Ok(process)
+    }
+
+    /// Sends one command and waits for its answer.
+    pub fn ask(&mut self, command: &str) -> anyhow::Result<Run> {
+        writeln!(self.commands.as_ref().context("closed")?, "{command}").with_context(|| self.last_complaint())?;
+        let line = self.line()?;
+        let (ms, gives) = line.split_once(' ').unwrap_or((&line, ""));
+        ensure!(ms != "error", "{gives}");
+        Ok(Run { ms: ms.parse().with_context(|| line.clone())?, gives: gives.to_owned() })
+    }
+
+    fn line(&mut self) -> anyhow::Result<String> {
+        let mut line = String::new();
+        if self.answers.read_line(&mut line)? == 0 {
+            bail!("{}", self.last_complaint());
+        }
+        Ok(line.trim_end().to_owned())
+    }
+
+    fn last_complaint(&mut self) -> String {
+        let mut text = String::new();
+        let read = self.complaints.rewind().and_then(|()| self.complaints.read_to_string(&mut text));
+        let last = text.lines().rfind(|line| !line.trim().is_empty());
+        read.ok().and(last).map_or_else(|| "it ended without a word".to_owned(), |line| line.trim().to_owned())
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        self.commands = None;
+        // Whatever it ends with, all its answers have been read.
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,63 @@
+//! The table of all comparisons, for the terminal and for `benches/PEERS.md`.
+
+use crate::duel::{Outcome, ROUNDS, Run};
+use comfy_table::{Table, presets};
+use std::fmt::Write;
+use std::thread::available_parallelism;
+
+/// Everything the bench says: where it ran, against what, the figures, and how to read them.
+pub fn written(input: &str, versions: &[String], outcomes: &[Outcome]) -> String {
+    let mut table = Table::new();
+    table
+        .load_preset(presets::ASCII_MARKDOWN)
+        .set_header(["", "ours, ms", "peer, ms", "ours / peer", "ours gives", "the peer gives"]);
+    outcomes.iter().for_each(|outcome| drop(table.add_row(row(outcome))));
+    let mut notes = String::new();
+    for Outcome { what, differ, .. } in outcomes {
+        let _ = writeln!(notes, "- {what}: {differ}");
+    }
+    let versions: String = versions.iter().map(|v| format!("- {v}\n")).collect();
+    let date = jiff::Timestamp::now().strftime("%Y-%m-%d");
+    format!(
+        "# Beside other people's code\n\n\
+         Written by `make bench-peers` on {date}, {machine}. Input: {input}. Medians of {ROUNDS} rounds after a warm-up, ours and \
+         the peer's in turns; each side times itself, from data in memory to result in memory unless a file is read. \
+         Absolute times differ from machine to machine; compare the ratios.\n\n\
+         {versions}\n{table}\n\n\
+         How the two sides differ:\n\n{notes}",
+        machine = machine()
+    )
+}
+
+fn row(outcome: &Outcome) -> [String; 6] {
+    let Outcome { what, ours, peer, bound, .. } = outcome;
+    let sign = if *bound { "< " } else { "" };
+    let left_out = |why: &str| ("-".to_owned(), format!("left out: {}", why.replace('|', "/")));
+    let told = |side: &Result<Run, String>, sign: &str| match side {
+        Ok(Run { ms, gives }) => (format!("{sign}{}", figure(*ms)), gives.clone()),
+        Err(why) => left_out(why),
+    };
+    let (own_ms, own_gives) = ours.as_ref().map_or_else(|| ("-".into(), "no equivalent yet".into()), |run| told(run, sign));
+    let (peer_ms, peer_gives) = told(peer, "");
+    let ratio = match (ours, peer) {
+        (Some(Ok(own)), Ok(peer)) => format!("{sign}{:.2}", own.ms / peer.ms),
+        _ => "-".into(),
+    };
+    [what.clone(), own_ms, peer_ms, ratio, own_gives, peer_gives]
+}
+
+/// Milliseconds to what a median of nine can tell apart.
+fn figure(ms: f32) -> String {
+    match ms {
+        ..1.0 => format!("{ms:.3}"),
+        1.0..100.0 => format!("{ms:.1}"),
+        _ => format!("{ms:.0}"),
+    }
+}
+
+fn machine() -> String {
+    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = info.lines().find_map(|l| l.strip_prefix("model name")?.split_once(": ").map(|(_, m)| m.trim()));
+    let cores = available_parallelism().map_or_else(|_| "?".into(), |n| n.to_string());
+    format!("{}, {cores} cores, {} threads for ours", model.unwrap_or("unknown processor"), rayon::current_num_threads())
+}
