@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: demo serve test lint fmt bench bench-quality quality bench-superpoints bench-scale openapi schemathesis clean
+.PHONY: demo serve test lint fmt bench bench-quality quality bench-superpoints bench-peers bench-scale openapi schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -33,11 +33,16 @@ quality: ## Answers against annotated rooms (ROOMS=folder), held against benches
 	$(CARGO) build --release --locked --quiet
 	ROOMS=$(ROOMS) scripts/quality.sh
 
-bench-superpoints: ## Superpoints beside PCL's VCCS, alternating (needs a C++ compiler and Debian's libpcl-dev)
+target/peers/vccs: benches/peers/vccs.cpp
 	mkdir -p target/peers
 	$(CXX) -O2 benches/peers/vccs.cpp -o target/peers/vccs -I/usr/include/pcl-1.13 -I/usr/include/eigen3 \
 		-lpcl_segmentation -lpcl_search -lpcl_common -lpcl_octree -lpcl_kdtree
+
+bench-superpoints: target/peers/vccs ## Superpoints beside PCL's VCCS, alternating (needs a C++ compiler and Debian's libpcl-dev)
 	$(CARGO) bench --locked --quiet --bench superpoints -- --pcl target/peers/vccs $(ROOMS)
+
+bench-peers: ## Our parts beside PCL, Open3D and onnxruntime, in turns, to benches/PEERS.md (installs into .venv-peers)
+	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/bench-peers.sh $(ROOMS)
 
 bench-scale: ## Stage 1 on one to eight rooms side by side, and how soon it stops
 	$(CARGO) bench --locked --quiet --bench scale -- $(ROOMS)

@@ -1,8 +1,8 @@
 //! Our parts beside the public ones, on the same input and in turns: `make bench-peers`, or
 //! `cargo bench --bench peers -- [--pcl PROGRAM] [--python PYTHON] [--write FILE] [FOLDER]`.
 //!
-//! PCL's VCCS is the program built from `benches/peers/vccs.cpp`; Open3D and onnxruntime answer from the Python given
-//! (`scripts/bench-peers.sh` makes one). A peer that is not there is a row that says so. `room1` of `../shared/scenes`, or of
+//! PCL's VCCS is the program built from `benches/peers/vccs.cpp`; `open3d` and `onnxruntime` answer from the Python
+//! given (`scripts/bench-peers.sh` makes one). A peer that is not there is a row that says so. `room1` of `../shared/scenes`, or of
 //! the folder given.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
@@ -11,36 +11,20 @@
 mod duel;
 #[path = "peers/process.rs"]
 mod process;
+#[path = "peers/rows.rs"]
+mod rows;
 #[path = "peers/sheet.rs"]
 mod sheet;
 #[path = "peers/vccs.rs"]
 mod vccs;
 
-use anyhow::{Context, anyhow, ensure};
+use anyhow::Context;
 use camino::{Utf8Path, Utf8PathBuf};
-use duel::{Comparison, Ours, Run, Side};
-use process::Process;
-use std::cell::RefCell;
-use std::time::Instant;
+use duel::Comparison;
+use process::Peer;
+use rows::Input;
 use uniground::evaluation::annotated::Room;
-use uniground::geometry::Vector3;
-use uniground::geometry::boxes::Aabb;
-use uniground::geometry::statistics::quantile;
-use uniground::geometry::voxels::{VoxelGrid, typical_spacing_m};
-use uniground::ingest::read_cloud;
-use uniground::progress::Progress;
-use uniground::render::{ROOM_VIEW, scene_picture};
-use uniground::scene::PointCloud;
-use uniground::scene::export::write_cloud_ply;
-use uniground::scene_parsing::superpoints::{self, SuperpointSettings};
 use vccs::Vccs;
-
-/// Edge of the voxels a cloud is thinned to, metres.
-const THINNED_M: f32 = 0.05;
-/// What `scene_picture` leaves empty, and cuts off and widens by; the peers are given the same.
-const BACKGROUND: [u8; 3] = [250, 250, 250];
-const CEILING_PERCENTILE: f32 = 0.95;
-const SPLAT_OVERLAP: f32 = 1.6;
 
 #[derive(Default)]
 struct Options {
@@ -74,32 +58,36 @@ fn main() {
         println!("left out: no annotated rooms in {folder}");
         return;
     }
+    let load = sheet::load();
     let temporary = tempfile::tempdir().unwrap();
     let scratch = Utf8Path::from_path(temporary.path()).unwrap();
     let room = Room::load(&folder, "room1", scratch).unwrap();
-    let cloud = &room.bundle.cloud;
-    let file = scratch.join("written.ply");
-    write_cloud_ply(cloud, std::fs::File::create(&file).unwrap()).unwrap();
+    let input = Input::new(room.bundle.cloud, scratch.join("written.ply"));
 
-    let vccs = pcl.context("no --pcl PROGRAM given").and_then(|program| Ok(Vccs::new(&program, cloud, scratch)?));
-    let open3d = Peer::start(python.as_deref(), "open3d_peer.py");
-    let onnxruntime = Peer::start(python.as_deref(), "onnxruntime_peer.py");
-    let squares = set_up_open3d(&open3d, cloud, &file);
-    let model = beside("../shared/models/tiny-dual-encoder");
-    let loaded = set_up_onnxruntime(&onnxruntime, &model);
+    let vccs = pcl.context("no --pcl PROGRAM given").and_then(|program| Vccs::new(&program, &input.cloud, scratch));
+    let open3d = Peer::start(python.as_deref(), "open3d_peer.py", &input.for_open3d());
+    let onnxruntime = model(beside("../shared/models/tiny-dual-encoder"), python.as_deref());
 
-    let mut comparisons = superpoint_rows(cloud, &vccs);
-    comparisons.push(reading(&file, &open3d));
-    comparisons.push(thinning(cloud, &open3d));
-    comparisons.extend(normals(cloud, &open3d));
-    comparisons.extend(drawing(cloud, &open3d, &squares));
-    comparisons.extend(encoding(&onnxruntime, &loaded));
+    let mut comparisons = rows::superpoints(&input, &vccs);
+    comparisons.push(rows::reading(&input, &open3d));
+    comparisons.push(rows::thinning(&input, &open3d));
+    comparisons.extend(rows::normals(&input, &open3d));
+    comparisons.extend(rows::drawing(&input, &open3d));
+    comparisons.extend(rows::encoding(&onnxruntime));
     let outcomes: Vec<_> = comparisons.into_iter().map(Comparison::run).collect();
 
-    let versions = [pcl_version(&vccs), open3d.told(), onnxruntime.told()];
-    let text = sheet::written(&format!("room1's cloud, {} points", cloud.len()), &versions, &outcomes);
-    print!("{text}");
+    let versions = [vccs.as_ref().ok().and_then(Vccs::version), open3d.versions(), onnxruntime.versions()];
+    let text = sheet::written(&format!("room1's cloud, {} points", input.cloud.len()), &load, &versions, &outcomes);
+    println!("{text}");
     if let Some(file) = write {
         std::fs::write(file, text).unwrap();
+    }
+}
+
+/// onnxruntime with a small bundle open.
+fn model(folder: Utf8PathBuf, python: Option<&str>) -> Peer {
+    match folder.join("model.json").exists() {
+        true => Peer::start(python, "onnxruntime_peer.py", &[format!("load {folder}")]),
+        false => Peer::missing(format!("no bundle {} beside the checkout", folder.file_name().unwrap_or_default())),
     }
 }

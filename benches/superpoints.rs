@@ -5,16 +5,18 @@
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
+#[path = "peers/vccs.rs"]
+mod vccs;
+
 use camino::{Utf8Path, Utf8PathBuf};
 use comfy_table::{Table, presets};
-use std::process::Command;
 use std::time::Instant;
 use uniground::evaluation::annotated::Room;
 use uniground::evaluation::segmentation::{SuperpointScore, score_superpoints};
 use uniground::geometry::statistics::median;
 use uniground::progress::Progress;
-use uniground::scene::PointCloud;
 use uniground::scene_parsing::superpoints::{self, SuperpointSettings};
+use vccs::Vccs;
 
 const RUNS: usize = 9;
 
@@ -38,8 +40,7 @@ fn main() {
     let temporary = tempfile::tempdir().unwrap();
     let scratch = Utf8Path::from_path(temporary.path()).unwrap();
     let room = Room::load(&folder, "room1", scratch).unwrap();
-    let raw = scratch.join("cloud.f32");
-    std::fs::write(&raw, raw_floats(&room.bundle.cloud)).unwrap();
+    let pcl = pcl.map(|program| Vccs::new(&program, &room.bundle.cloud, scratch).unwrap());
 
     let ours = |settings: SuperpointSettings| {
         let cloud = &room.bundle.cloud;
@@ -54,10 +55,9 @@ fn main() {
         ("uniground default".into(), ours(default)),
         ("uniground .05/.2".into(), ours(SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..default })),
     ];
-    if let Some(program) = &pcl {
+    if let Some(pcl) = &pcl {
         for (voxel, seed) in [(".05", ".2"), (".02", ".2")] {
-            let (raw, labels) = (raw.clone(), scratch.join("labels.i32"));
-            contestants.push((format!("PCL {voxel}/{seed}"), Box::new(move || pcl_run(program, &raw, voxel, seed, &labels))));
+            contestants.push((format!("PCL {voxel}/{seed}"), Box::new(move || pcl.run(voxel, seed).unwrap())));
         }
     }
     let mut seconds = vec![Vec::new(); contestants.len()];
@@ -90,29 +90,8 @@ fn main() {
         room.truth.len(),
         rayon::current_num_threads()
     );
-    if pcl.is_none() {
-        println!("PCL was left out: no --pcl PROGRAM given");
+    match &pcl {
+        Some(pcl) => println!("{}", pcl.version().unwrap_or_default()),
+        None => println!("PCL was left out: no --pcl PROGRAM given"),
     }
-}
-
-/// Rows of `x y z r g b` as the peer reads them.
-fn raw_floats(cloud: &PointCloud) -> Vec<u8> {
-    let rows = cloud.positions.iter().zip(&cloud.colours);
-    rows.flat_map(|(p, c)| [p.x, p.y, p.z, f32::from(c[0]), f32::from(c[1]), f32::from(c[2])])
-        .flat_map(f32::to_le_bytes)
-        .collect()
-}
-
-/// The peer times itself: `... extract 236 ms label-back 18 ms ...`.
-fn pcl_run(program: &str, raw: &Utf8Path, voxel: &str, seed: &str, labels: &Utf8Path) -> (f32, Vec<u32>) {
-    let output = Command::new(program).args([raw.as_str(), voxel, seed, labels.as_str()]).output().unwrap();
-    let text = String::from_utf8(output.stdout).unwrap();
-    let words: Vec<&str> = text.split_whitespace().collect();
-    let after = |word: &str| words[words.iter().position(|w| *w == word).unwrap() + 1].parse::<f32>().unwrap();
-    let labels = std::fs::read(labels)
-        .unwrap()
-        .chunks_exact(4)
-        .map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]))
-        .collect();
-    ((after("extract") + after("label-back")) / 1000.0, labels)
 }

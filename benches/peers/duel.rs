@@ -31,13 +31,13 @@ pub struct Comparison<'a> {
     pub ours: Ours<'a>,
     pub peer: Side<'a>,
     /// How the two jobs differ, for whoever reads the ratio.
-    pub differ: &'static str,
+    pub differ: String,
 }
 
 /// Medians of one comparison; a side that failed says why.
 pub struct Outcome {
     pub what: String,
-    pub differ: &'static str,
+    pub differ: String,
     pub ours: Option<Result<Run, String>>,
     pub peer: Result<Run, String>,
     /// Whether our figure is an upper bound.

@@ -1,25 +1,62 @@
 //! A peer as a long-lived child: one command a line, one answer a line, timed by the peer itself (`protocol.py`).
 
 use crate::duel::Run;
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, anyhow, bail, ensure};
+use std::cell::RefCell;
 use std::fs::File;
 use std::io::{BufRead, BufReader, Read, Seek, Write};
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
+/// A peer that answers, or why there is none.
+pub struct Peer {
+    process: Result<RefCell<Process>, String>,
+    /// Answers to the commands it was prepared with.
+    pub prepared: Vec<Run>,
+}
+
+impl Peer {
+    /// Starts a script of `benches/peers` and gives it what it will work on, before anything is timed.
+    pub fn start(python: Option<&str>, script: &str, commands: &[String]) -> Self {
+        let started = python.context("no --python PYTHON given").and_then(|python| {
+            let mut process = Process::start(python, script)?;
+            let prepared = commands.iter().map(|command| process.ask(command)).collect::<anyhow::Result<_>>()?;
+            Ok((process, prepared))
+        });
+        match started {
+            Ok((process, prepared)) => Self { process: Ok(RefCell::new(process)), prepared },
+            Err(e) => Self::missing(format!("{e:#}")),
+        }
+    }
+
+    pub fn missing(why: String) -> Self {
+        Self { process: Err(why), prepared: Vec::new() }
+    }
+
+    pub fn ask(&self, command: &str) -> anyhow::Result<Run> {
+        let process = self.process.as_ref().map_err(|why| anyhow!("{why}"))?;
+        process.borrow_mut().ask(command)
+    }
+
+    /// Library and language with their versions, if it runs.
+    pub fn versions(&self) -> Option<String> {
+        self.process.as_ref().ok().map(|process| process.borrow().versions.clone())
+    }
+}
+
 /// A running peer; it ends with its stdin.
-pub struct Process {
+struct Process {
     child: Child,
     commands: Option<ChildStdin>,
     answers: BufReader<ChildStdout>,
     /// What it complains of: the last line says why it ended.
     complaints: File,
     /// Library and language, as the peer names them.
-    pub versions: String,
+    versions: String,
 }
 
 impl Process {
-    /// Starts a script of `benches/peers` and waits until it has imported all it needs.
-    pub fn start(python: &str, script: &str) -> anyhow::Result<Self> {
+    /// Waits until the script has imported all it needs.
+    fn start(python: &str, script: &str) -> anyhow::Result<Self> {
         let complaints = tempfile::tempfile()?;
         let mut child = Command::new(python)
             .args(["-B", &format!("{}/benches/peers/{script}", env!("CARGO_MANIFEST_DIR"))])
@@ -37,7 +74,7 @@ impl Process {
     }
 
     /// Sends one command and waits for its answer.
-    pub fn ask(&mut self, command: &str) -> anyhow::Result<Run> {
+    fn ask(&mut self, command: &str) -> anyhow::Result<Run> {
         writeln!(self.commands.as_ref().context("closed")?, "{command}").with_context(|| self.last_complaint())?;
         let line = self.line()?;
         let (ms, gives) = line.split_once(' ').unwrap_or((&line, ""));
@@ -57,7 +94,9 @@ impl Process {
         let mut text = String::new();
         let read = self.complaints.rewind().and_then(|()| self.complaints.read_to_string(&mut text));
         let last = text.lines().rfind(|line| !line.trim().is_empty());
-        read.ok().and(last).map_or_else(|| "it ended without a word".to_owned(), |line| line.trim().to_owned())
+        read.ok()
+            .and(last)
+            .map_or_else(|| "it ended without a word".to_owned(), |line| line.trim().to_owned())
     }
 }
 

@@ -6,23 +6,24 @@ use std::fmt::Write;
 use std::thread::available_parallelism;
 
 /// Everything the bench says: where it ran, against what, the figures, and how to read them.
-pub fn written(input: &str, versions: &[String], outcomes: &[Outcome]) -> String {
+pub fn written(input: &str, load: &str, versions: &[Option<String>], outcomes: &[Outcome]) -> String {
     let mut table = Table::new();
     table
         .load_preset(presets::ASCII_MARKDOWN)
         .set_header(["", "ours, ms", "peer, ms", "ours / peer", "ours gives", "the peer gives"]);
-    outcomes.iter().for_each(|outcome| drop(table.add_row(row(outcome))));
+    table.add_rows(outcomes.iter().map(row));
     let mut notes = String::new();
     for Outcome { what, differ, .. } in outcomes {
         let _ = writeln!(notes, "- {what}: {differ}");
     }
-    let versions: String = versions.iter().map(|v| format!("- {v}\n")).collect();
+    let versions: String = versions.iter().flatten().map(|v| format!("- {v}\n")).collect();
     let date = jiff::Timestamp::now().strftime("%Y-%m-%d");
     format!(
         "# Beside other people's code\n\n\
-         Written by `make bench-peers` on {date}, {machine}. Input: {input}. Medians of {ROUNDS} rounds after a warm-up, ours and \
-         the peer's in turns; each side times itself, from data in memory to result in memory unless a file is read. \
-         Absolute times differ from machine to machine; compare the ratios.\n\n\
+         Written by `make bench-peers` on {date}, {machine}, load {load} before. Input: {input}. Medians of {ROUNDS} rounds after a \
+         warm-up, ours and the peer's in turns, each run after a short silence so that threads of the last do not spin into it. Each side times \
+         itself, from data in memory to result in memory unless a file is read. Absolute times differ \
+         from machine to machine; compare the ratios.\n\n\
          {versions}\n{table}\n\n\
          How the two sides differ:\n\n{notes}",
         machine = machine()
@@ -60,4 +61,10 @@ fn machine() -> String {
     let model = info.lines().find_map(|l| l.strip_prefix("model name")?.split_once(": ").map(|(_, m)| m.trim()));
     let cores = available_parallelism().map_or_else(|_| "?".into(), |n| n.to_string());
     format!("{}, {cores} cores, {} threads for ours", model.unwrap_or("unknown processor"), rayon::current_num_threads())
+}
+
+/// What else kept the machine busy in the minute before: on a loaded one whoever uses more cores loses more.
+pub fn load() -> String {
+    let averages = std::fs::read_to_string("/proc/loadavg").unwrap_or_default();
+    averages.split(' ').next().filter(|load| !load.is_empty()).unwrap_or("unknown").to_owned()
 }

@@ -14,7 +14,7 @@ pub struct Vccs {
 
 impl Vccs {
     /// Writes the cloud where the program will read it.
-    pub fn new(program: &str, cloud: &PointCloud, scratch: &Utf8Path) -> std::io::Result<Self> {
+    pub fn new(program: &str, cloud: &PointCloud, scratch: &Utf8Path) -> anyhow::Result<Self> {
         let file = scratch.join("cloud.f32");
         std::fs::write(&file, raw_floats(cloud))?;
         Ok(Self { program: program.to_owned(), cloud: file, labels: scratch.join("labels.i32") })
@@ -38,6 +38,13 @@ impl Vccs {
         let bytes = std::fs::read(&self.labels)?;
         let labels = bytes.chunks_exact(4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]])).collect();
         Ok((seconds, labels))
+    }
+
+    /// The version of PCL it was built with: what it says when given nothing to do.
+    pub fn version(&self) -> Option<String> {
+        let output = Command::new(&self.program).output().ok()?;
+        let version = String::from_utf8(output.stdout).ok().filter(|_| output.status.success())?;
+        Some(version.trim().to_owned())
     }
 }
 

@@ -1,6 +1,6 @@
 //! The answer: six fields, both boxes, status, and what led there.
 
-use super::query::{Meaning, ParsedQuery, Phrase};
+use super::query::{Meaning, ParsedQuery, Phrase, Superlative};
 use super::reasoner::Verdict;
 use super::shortlist::{self, Candidate};
 use super::{Question, SceneView};
@@ -171,28 +171,41 @@ pub(super) fn described(instance: &Instance) -> String {
 
 fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
     let target = &parsed.target;
-    let sizes = target.sizes.iter().map(|s| s.word().to_owned());
+    let traits = target.traits.iter().map(|s| s.word().to_owned());
     let colours = target.colours.iter().map(|c| c.word().to_owned());
     let other_than = target.other_than.iter().map(|c| format!("not {}", c.word()));
-    let with = target
-        .with
-        .iter()
-        .map(|w| format!("{} {}", if w.absent { "without" } else { "with" }, w.phrase.text()));
-    let superlative = parsed.superlative.map(|s| format!("{:?}", s.measure).to_lowercase());
-    ParsedQuerySummary {
+    let with = target.with.iter().map(|w| {
+        let count = w.phrase.count.map_or_else(String::new, |n| format!("{n} "));
+        format!("{} {count}{}", if w.absent { "without" } else { "with" }, w.phrase.text())
+    });
+    let uses = target.uses.iter().map(|spoken| format!("to {spoken}"));
+    let superlative = target.superlative.map(|s| superlative_words(&s));
+    let mut summary = ParsedQuerySummary {
         target: if target.meaning() == Meaning::Anything && target.head.is_empty() { "thing".into() } else { target.head.clone() },
-        attributes: sizes.chain(colours).chain(other_than).chain(with).chain(superlative).collect(),
-        anchors: parsed
-            .relations
-            .iter()
-            .flat_map(|r| r.anchors.iter().map(Phrase::text))
-            .chain(parsed.viewpoint.iter().map(Phrase::text))
-            .collect(),
-        relations: parsed
-            .relations
-            .iter()
-            .map(|r| if r.negated { format!("not {}", r.text) } else { r.text.clone() })
-            .collect(),
+        attributes: traits.chain(colours).chain(other_than).chain(with).chain(uses).chain(superlative).collect(),
+        anchors: Vec::new(),
+        relations: Vec::new(),
         not_understood: parsed.not_understood.clone(),
+    };
+    collect_anchors(target, &mut summary);
+    summary.anchors.extend(parsed.viewpoint.iter().map(|v| v.anchor.text()));
+    summary
+}
+
+/// Anchors and relations, those of anchors after those of the thing itself.
+fn collect_anchors(phrase: &Phrase, summary: &mut ParsedQuerySummary) {
+    for relation in &phrase.relations {
+        summary.relations.push(if relation.negated { format!("not {}", relation.text) } else { relation.text.clone() });
+        summary.anchors.extend(relation.anchors.iter().map(Phrase::text));
+    }
+    let within = phrase.relations.iter().flat_map(|r| &r.anchors).chain(phrase.with.iter().map(|w| &w.phrase));
+    within.for_each(|inner| collect_anchors(inner, summary));
+}
+
+/// "tallest", "leftmost, number 2"
+pub(super) fn superlative_words(superlative: &Superlative) -> String {
+    match superlative.rank {
+        0 | 1 => superlative.measure.word().to_owned(),
+        rank => format!("{}, number {rank}", superlative.measure.word()),
     }
 }

@@ -1,7 +1,8 @@
 //! Direction words as data: what "left" and "in front" mean in the world.
 
-use crate::geometry::{Point3, Vector3};
-use crate::scene::Instance;
+use super::query::Look;
+use super::solid::Solid;
+use crate::geometry::{Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -67,11 +68,31 @@ impl Directions {
         Self { right: forward.cross(&Vector3::z()), front: -forward }
     }
 
-    /// As seen by a person in the middle of the room who faces `anchor`.
+    /// As seen by a person in the room who looks as the words say. Things that are longer than deep are faced squarely: a window
+    /// across the wall, a desk across its long side.
     #[must_use]
-    pub fn facing(anchor: &Instance, room_center: &Point3<f32>) -> Option<Self> {
-        Self::looking_along(anchor.aabb.center - room_center)
+    pub fn of_look(look: Look, anchor: &Solid, room_center: &Point3<f32>) -> Option<Self> {
+        let towards = anchor.center - room_center;
+        match look {
+            Look::Facing => Self::looking_along(squarely(anchor, &towards).unwrap_or(towards)),
+            Look::From | Look::BackTo => Self::looking_along(-squarely(anchor, &towards).unwrap_or(towards)),
+        }
     }
+}
+
+/// The direction across a long thing, on the side `towards` points to; `None` for things about as deep as long, or seen end on.
+fn squarely(anchor: &Solid, towards: &Vector3<f32>) -> Option<Vector3<f32>> {
+    const LONGER_THAN_DEEP: f32 = 1.3;
+    const MIN_SQUARE: f32 = 0.35;
+    let (long, short) = anchor.sides();
+    if long < LONGER_THAN_DEEP * short {
+        return None;
+    }
+    let along = if anchor.size[0] >= anchor.size[1] { anchor.axis } else { Vector2::new(-anchor.axis.y, anchor.axis.x) };
+    let across = Vector3::new(-along.y, along.x, 0.0);
+    let towards = Vector3::new(towards.x, towards.y, 0.0).try_normalize(1e-3)?;
+    let square = across.dot(&towards);
+    (square.abs() >= MIN_SQUARE).then(|| across * square.signum())
 }
 
 #[cfg(test)]
@@ -86,6 +107,21 @@ mod tests {
         let observer = Observer { position: [0.0; 3], yaw_rad: std::f32::consts::FRAC_PI_2 };
         assert!((Directions::of_observer(&observer).right - seen.right).norm() < 1e-6);
         assert_eq!(Directions::looking_along(Vector3::z()), None);
+    }
+
+    #[test]
+    fn windows_are_faced_across_the_wall() {
+        use crate::geometry::boxes::Aabb;
+        // A window in the wall at +X, far to one side: the line to its middle is oblique, the view is not.
+        let window = Solid::from(Aabb { center: Point3::new(3.0, 2.0, 1.5), size: Vector3::new(0.1, 1.4, 1.2) });
+        let seen = Directions::of_look(Look::Facing, &window, &Point3::origin()).unwrap();
+        assert!((seen.right + Vector3::y()).norm() < 1e-5, "{seen:?}");
+        let from = Directions::of_look(Look::From, &window, &Point3::origin()).unwrap();
+        assert!((from.right - Vector3::y()).norm() < 1e-5, "{from:?}");
+        // A round table is faced along the line to it.
+        let table = Solid::from(Aabb { center: Point3::new(1.0, 1.0, 0.4), size: Vector3::new(1.0, 1.0, 0.7) });
+        let seen = Directions::of_look(Look::Facing, &table, &Point3::origin()).unwrap();
+        assert!((seen.front + Vector3::new(1.0, 1.0, 0.0).normalize()).norm() < 1e-5, "{seen:?}");
     }
 
     #[test]

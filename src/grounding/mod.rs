@@ -4,14 +4,17 @@
 //! relations by geometry. The language never changes the geometry.
 
 mod answer;
+mod assess;
 pub mod direction;
 mod fit;
 pub mod query;
 mod reasoner;
 pub mod relations;
 mod shortlist;
+pub mod solid;
 
 pub use answer::{Alternative, Grounding, ParsedQuerySummary, SixFields, Status, Timings};
+use assess::Looked;
 use direction::{DirectionConvention, Directions, Observer};
 pub use shortlist::Candidate;
 use std::time::Instant;
@@ -43,7 +46,8 @@ pub struct Question {
 #[must_use]
 pub fn shortlist(scene: SceneView, query: &str, top_k: usize) -> (query::ParsedQuery, Vec<Candidate>) {
     let parsed = query::parse(query);
-    let candidates = shortlist::rank(scene, &fit::phrase_fits(scene, &parsed.target), top_k);
+    let looked = Looked::at(scene, DirectionConvention::Paper.into());
+    let candidates = shortlist::rank(scene, &looked.own_fits(&parsed.target).1, top_k);
     (parsed, candidates)
 }
 
@@ -56,11 +60,11 @@ pub fn ground(scene: SceneView, question: &Question) -> Grounding {
         parsed.target.head.clone_from(name);
     }
     let parse_query = start.elapsed();
-    let fits = fit::phrase_fits(scene, &parsed.target);
-    let shortlisted = start.elapsed();
     let directions = question.observer.as_ref().map_or_else(|| question.convention.into(), Directions::of_observer);
-    let verdict = reasoner::builtin::decide(scene, &parsed, &fits, &directions);
+    let mut looked = Looked::at(scene, directions);
+    let prepared = start.elapsed();
+    let verdict = reasoner::builtin::decide(&mut looked, &parsed);
     let total = start.elapsed();
-    let timings_ms = Timings::from_marks(parse_query, shortlisted, total);
+    let timings_ms = Timings::from_marks(parse_query, prepared, total);
     answer::assemble(scene, question, &parsed, verdict, timings_ms)
 }

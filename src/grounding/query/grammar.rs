@@ -1,7 +1,9 @@
-//! Words to phrases: a left-to-right reading with one phrase open at a time.
+//! Words to phrases: a left-to-right reading with a stack of open phrases, the innermost on top.
 
+use super::affordances::{self, Affordance};
+use super::tokens::{BREAK, spelling, tokens};
 use super::words::{self, Meaning};
-use super::{Measure, ParsedQuery, Phrase, Relation, RelationKind, Superlative, With};
+use super::{Look, Measure, ParsedQuery, Phrase, Relation, RelationKind, Superlative, Viewpoint, With};
 use crate::models::attributes::Lexicon;
 
 /// One piece of the query.
@@ -14,42 +16,78 @@ enum Piece {
     Break,
 }
 
-/// Where the phrase being read will go.
-#[derive(Debug, Clone, PartialEq)]
-enum Slot {
+/// What a relation hangs on when it follows another thing than the target.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Attach {
+    /// The last thing named: "the cup on the table by the door" - the table is by the door.
+    Nearest,
+    /// The target: the cup is by the door.
     Target,
-    Anchor,
-    Viewpoint,
-    With { absent: bool, of_anchor: bool },
+}
+
+/// What an open phrase is there for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Role {
+    Target,
+    /// Said once more, after the target is known: "the chair is ...", "there is a lamp on it".
+    More,
+    /// Of the last relation of the phrase below. `joined` by "and".
+    Anchor {
+        joined: bool,
+    },
+    With {
+        absent: bool,
+    },
+    View(Look),
+}
+
+#[derive(Debug, Clone, PartialEq)]
+struct Frame {
+    phrase: Phrase,
+    role: Role,
+    /// Words since the last noun that nothing explains.
+    unknown: Vec<String>,
 }
 
 /// Reads a query. Never fails: what is not understood is listed.
 #[must_use]
 pub fn parse(query: &str) -> ParsedQuery {
-    let mut reader = Reader::default();
-    let pieces = pieces(query);
-    for (i, piece) in pieces.iter().enumerate() {
-        reader.read(piece, &pieces[i + 1..]);
-    }
-    reader.close();
-    reader.query
+    let tokens = tokens(query);
+    let tokens = &tokens[address(&tokens)..];
+    let affordance = affordances::find(tokens);
+    let start = affordance.as_ref().map_or(0, |found| found.taken);
+    let pieces = pieces(&tokens[start..]);
+    let read = |attach: Attach| Reader::new(attach, affordance.as_ref()).run(&pieces);
+    let mut nearest = read(Attach::Nearest);
+    let target = read(Attach::Target);
+    nearest.other_reading = (target.target != nearest.target).then_some(target.target);
+    nearest
 }
 
-fn pieces(query: &str) -> Vec<Piece> {
-    let tokens = tokens(query);
+/// How many tokens call somebody: "hey robot, ".
+fn address(tokens: &[String]) -> usize {
+    const CALLED: [&str; 6] = ["robot", "assistant", "hey", "hello", "hi", "ok"];
+    let called = tokens.iter().take_while(|token| CALLED.contains(&token.as_str())).count();
+    match tokens.get(called) {
+        Some(pause) if called > 0 && pause == BREAK => called + 1,
+        _ => 0,
+    }
+}
+
+fn pieces(tokens: &[String]) -> Vec<Piece> {
     let mut pieces = Vec::new();
     let mut at = 0;
     while at < tokens.len() {
-        if tokens[at] == "," {
+        if tokens[at] == BREAK {
             pieces.push(Piece::Break);
             at += 1;
             continue;
         }
         // Nothing in the tables spans a break.
-        let run: Vec<&str> = tokens[at..].iter().map(String::as_str).take_while(|t| *t != ",").collect();
+        let run: Vec<&str> = tokens[at..].iter().map(String::as_str).take_while(|t| *t != BREAK).collect();
         let noun = longest_noun(&run);
         let word = words::longest(&run);
-        let taken = match (noun, word) {
+        at += match (noun, word) {
             (Some(length), word) if word.is_none_or(|(_, w)| length >= w) => {
                 pieces.push(Piece::Noun(run[..length].join(" ")));
                 length
@@ -63,304 +101,392 @@ fn pieces(query: &str) -> Vec<Piece> {
                 1
             }
         };
-        at += taken;
     }
     pieces
-}
-
-/// Lower-case words; sentence marks become ",".
-fn tokens(query: &str) -> Vec<String> {
-    let mut tokens = Vec::new();
-    let mut word = String::new();
-    let end = |word: &mut String, tokens: &mut Vec<String>| {
-        let bare = word.trim_matches('\'').trim_end_matches("'s").to_owned();
-        if !bare.is_empty() {
-            tokens.push(bare);
-        }
-        word.clear();
-    };
-    for c in query.chars().flat_map(char::to_lowercase) {
-        match c {
-            c if c.is_alphanumeric() => word.push(c),
-            '\'' | '\u{2019}' => word.push('\''),
-            '.' | ',' | ';' | ':' | '?' | '!' | '\n' => {
-                end(&mut word, &mut tokens);
-                tokens.push(",".into());
-            }
-            _ => end(&mut word, &mut tokens),
-        }
-    }
-    end(&mut word, &mut tokens);
-    tokens
 }
 
 /// Length in words of the longest noun at the start.
 fn longest_noun(run: &[&str]) -> Option<usize> {
     let lexicon = Lexicon::get();
-    (1..=lexicon.longest_words().min(run.len())).rev().find(|&n| {
+    let is_noun = |n: usize| {
         let candidate = run[..n].join(" ");
-        let phrase = Phrase { head: candidate, ..Phrase::default() };
-        !matches!(phrase.meaning(), super::Meaning::Unknown)
-    })
+        (words::is_anything(&candidate) && n == 1) || structural(&candidate) || lexicon.knows(&candidate)
+    };
+    (1..=lexicon.longest_words().min(run.len())).rev().find(|&n| is_noun(n))
 }
 
-#[derive(Default)]
+fn structural(word: &str) -> bool {
+    matches!(word, "wall" | "walls" | "floor" | "ground" | "ceiling")
+}
+
 struct Reader {
+    attach: Attach,
     query: ParsedQuery,
-    open: Phrase,
-    slot: Option<Slot>,
+    /// Never empty: the target, or what adds to it, lies at the bottom.
+    stack: Vec<Frame>,
+    target: Option<Phrase>,
     negated: bool,
     ordinal: Option<u32>,
-    /// Words since the last noun that nothing explains.
-    unknown: Vec<String>,
-    target_read: bool,
+    number: Option<u32>,
+    /// "of" stands between two nouns.
+    of: bool,
+    same: bool,
+    /// "the closest chair to": what the noun is compared by stands in front of it.
+    compared: Option<(RelationKind, u32, String)>,
+    /// A new sentence about something else than the target begins.
+    there_is: bool,
 }
 
 impl Reader {
-    fn slot(&self) -> Slot {
-        self.slot.clone().unwrap_or(Slot::Target)
-    }
-
-    fn read(&mut self, piece: &Piece, rest: &[Piece]) {
-        match piece {
-            Piece::Noun(head) => self.noun(head),
-            Piece::Unknown(word) => self.unknown.push(word.clone()),
-            Piece::Break => self.pause(),
-            Piece::Word(meaning, text) => self.word(*meaning, text, rest),
+    fn new(attach: Attach, affordance: Option<&Affordance>) -> Self {
+        let mut reader = Self {
+            attach,
+            query: ParsedQuery::default(),
+            stack: vec![Frame::new(Role::Target)],
+            target: None,
+            negated: false,
+            ordinal: None,
+            number: None,
+            of: false,
+            same: false,
+            compared: None,
+            there_is: false,
+        };
+        if let Some(found) = affordance {
+            let phrase = &mut reader.stack[0].phrase;
+            "something".clone_into(&mut phrase.head);
+            phrase.uses.clone_from(&found.uses);
         }
+        reader
     }
 
-    fn noun(&mut self, head: &str) {
-        // "not" speaks of the word that follows: a colour or a relation. "Not the chair" is nothing that can be used.
-        if std::mem::take(&mut self.negated) {
+    fn run(mut self, pieces: &[Piece]) -> ParsedQuery {
+        for (i, piece) in pieces.iter().enumerate() {
+            match piece {
+                Piece::Noun(head) => self.noun(head, &pieces[i + 1..]),
+                Piece::Unknown(word) => self.top().unknown.push(word.clone()),
+                Piece::Break => self.pause(),
+                Piece::Word(meaning, text) => self.word(*meaning, text, &pieces[i + 1..]),
+            }
+        }
+        self.pause();
+        if let Some(rank) = self.ordinal.take() {
+            self.query.not_understood.push(format!("number {rank}"));
+        }
+        self.query.target = self.target.unwrap_or_default();
+        self.query
+    }
+
+    fn top(&mut self) -> &mut Frame {
+        if self.stack.is_empty() {
+            let role = if self.target.is_some() { Role::More } else { Role::Target };
+            self.stack.push(Frame::new(role));
+        }
+        let last = self.stack.len() - 1;
+        &mut self.stack[last]
+    }
+
+    fn noun(&mut self, head: &str, rest: &[Piece]) {
+        let (of, number) = (std::mem::take(&mut self.of), self.number.take());
+        let frame = self.top();
+        frame.phrase.count = number.or(frame.phrase.count);
+        let before = frame.phrase.head.clone();
+        if before.is_empty() || words::is_anything(&before) && !head.is_empty() && frame.phrase.uses.is_empty() {
+            // "filing cabinets ... the one": a pronoun never takes a noun's place, a noun takes a pronoun's.
+            head.clone_into(&mut frame.phrase.head);
+        } else if of && !words::is_measure(&before) && !words::is_part(&before) {
+            // "the bowl of apples" is a bowl.
+            frame.phrase.unchecked.push(head.to_owned());
+        } else if words::is_anything(head) {
+        } else {
+            // "computer desk": in English the last noun is the head.
+            frame.phrase.unchecked.push(before);
+            head.clone_into(&mut frame.phrase.head);
+        }
+        let unknown = std::mem::take(&mut frame.unknown);
+        frame.phrase.unchecked.extend(unknown);
+        // "not the chair by the door" speaks of the relation, "not the chair" of nothing that can be used.
+        let relation_follows = rest.iter().find(|piece| !is_filler(piece)).is_some_and(|piece| {
+            matches!(piece, Piece::Word(Meaning::Relation(_) | Meaning::Colour(_) | Meaning::With { .. } | Meaning::Superlative(_), _))
+        });
+        if self.negated && !relation_follows {
+            self.negated = false;
             self.query.not_understood.push("not".into());
         }
-        // "computer desk": in English the last noun is the head.
-        if !self.open.head.is_empty() && !words::is_anything(&self.open.head) {
-            let modifier = std::mem::take(&mut self.open.head);
-            self.open.unchecked.push(modifier);
-        }
-        self.open.unchecked.append(&mut self.unknown);
-        head.clone_into(&mut self.open.head);
     }
 
     fn word(&mut self, meaning: Meaning, text: &str, rest: &[Piece]) {
         match meaning {
-            Meaning::Relation(kind) => {
-                let negated = std::mem::take(&mut self.negated);
-                self.close();
-                let relation = Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated };
-                self.query.relations.push(relation);
-                self.slot = Some(Slot::Anchor);
-                if matches!(kind, RelationKind::AgainstWall | RelationKind::InCorner) {
-                    self.slot = None;
-                }
+            Meaning::Relation(kind) if kind.is_comparison() && is_bare_noun(rest) => {
+                let rank = self.ordinal.take().unwrap_or(1);
+                self.compared = Some((kind, rank, text.to_owned()));
             }
+            Meaning::Relation(kind) => self.relation(kind, text),
             Meaning::With { absent } => {
-                let of_anchor = self.slot() == Slot::Anchor;
-                self.close();
-                self.slot = Some(Slot::With { absent, of_anchor });
+                let absent = absent || std::mem::take(&mut self.negated);
+                if self.stack.last().is_some_and(|f| matches!(f.role, Role::Anchor { .. } | Role::With { .. }) && f.is_empty()) {
+                    self.pop();
+                }
+                self.number = None;
+                self.push(Role::With { absent });
             }
-            Meaning::Facing => {
-                self.close();
-                self.slot = Some(Slot::Viewpoint);
+            Meaning::View(look) => self.view(look, text),
+            Meaning::Entering => {
+                let anchor = Phrase { head: "door".into(), ..Phrase::default() };
+                self.query.viewpoint = Some(Viewpoint { look: Look::From, anchor });
             }
             Meaning::Superlative(measure) => self.superlative(measure, text, rest),
+            Meaning::FromSide(measure) => {
+                let rank = self.ordinal.take().unwrap_or(1);
+                self.bottom().superlative = Some(Superlative { measure, rank });
+            }
             Meaning::Ordinal(rank) => self.ordinal = Some(rank),
-            Meaning::Colour(colour) => match std::mem::take(&mut self.negated) {
-                true => self.open.other_than.push(colour),
-                false => self.open.colours.push(colour),
-            },
-            Meaning::Size(size) => self.open.sizes.push(size),
+            Meaning::Number(count) => self.number = Some(count),
+            Meaning::Colour(colour) => {
+                let negated = std::mem::take(&mut self.negated);
+                let phrase = &mut self.top().phrase;
+                if negated { phrase.other_than.push(colour) } else { phrase.colours.push(colour) }
+            }
+            Meaning::Trait(seen) => self.top().phrase.traits.push(seen),
             Meaning::Not => self.negated = true,
-            Meaning::And => match self.slot() {
-                // "between the sofa and the desk", "with a lamp and a book".
-                Slot::Anchor if !self.open.is_empty() => {
-                    self.close();
-                    self.slot = Some(Slot::Anchor);
-                }
-                Slot::With { absent, of_anchor } => {
-                    self.close();
-                    self.slot = Some(Slot::With { absent, of_anchor });
-                }
-                _ => {}
-            },
-            // "the bookcase just to the left of it": the viewpoint, or else nothing new.
-            Meaning::Pronoun => {
-                if self.slot() == Slot::Anchor
-                    && self.open.is_empty()
-                    && let Some(viewpoint) = self.query.viewpoint.clone()
-                {
-                    self.open = viewpoint;
+            Meaning::And => self.and(),
+            Meaning::Of => self.of = true,
+            Meaning::Same => self.same = true,
+            Meaning::As => {
+                if std::mem::take(&mut self.same) {
+                    self.push(Role::With { absent: false });
                 }
             }
-            Meaning::Determiner | Meaning::Filler => {
-                if text == "from the left" || text == "from the right" {
-                    let measure = if text == "from the left" { Measure::Leftmost } else { Measure::Rightmost };
-                    self.query.superlative = Some(Superlative { measure, rank: self.ordinal.take().unwrap_or(1) });
+            Meaning::OfTarget => self.unwind(0),
+            Meaning::Filler if matches!(text, "to" | "from") && self.compared.is_some() => {
+                if let Some((kind, rank, words)) = self.compared.take() {
+                    self.ordinal = Some(rank);
+                    self.relation(kind, &format!("{words} {text}"));
                 }
+            }
+            Meaning::OfLast | Meaning::Determiner | Meaning::Filler => {}
+            Meaning::ThereIs => {
+                self.unwind(0);
+                self.there_is = self.target.is_some();
+            }
+            Meaning::Pronoun => self.pronoun(),
+        }
+    }
+
+    fn relation(&mut self, kind: RelationKind, text: &str) {
+        // "between the sofa and next to the lamp", "on the": an anchor that never came.
+        while self.stack.len() > 1 && self.stack.last().is_some_and(Frame::is_empty) {
+            let joined = self.stack.last().is_some_and(|f| f.role == Role::Anchor { joined: true });
+            self.pop();
+            if joined {
+                self.unwind(1);
             }
         }
+        if self.stack.is_empty() {
+            self.top();
+        }
+        // Comparisons single out the target; the rest belongs to the last thing, or to the target, by reading.
+        if self.stack.len() > 1 && (self.attach == Attach::Target || kind.is_comparison() || self.stack[0].phrase.is_empty()) {
+            self.unwind(1);
+        }
+        let negated = std::mem::take(&mut self.negated);
+        let rank = if kind.is_comparison() { self.ordinal.take().unwrap_or(1) } else { 1 };
+        let relation = Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated, rank };
+        self.top().phrase.relations.push(relation);
+        if !kind.is_of_the_room() {
+            self.push(Role::Anchor { joined: false });
+        }
+    }
+
+    /// "facing the window, the curtain": how somebody looks; after a noun ("the chair facing the window") a relation of that thing.
+    fn view(&mut self, look: Look, text: &str) {
+        let of_a_thing = text == "facing" && self.stack.last().is_some_and(|f| !f.phrase.head.is_empty());
+        if of_a_thing {
+            return self.relation(RelationKind::Facing, text);
+        }
+        let keep = usize::from(self.stack.first().is_some_and(|f| !f.phrase.is_empty()));
+        self.unwind(keep);
+        self.push(Role::View(look));
     }
 
     /// "the tallest bookcase", "the one on the left": an extreme; with "of" behind it, the sides become relations.
     fn superlative(&mut self, measure: Measure, text: &str, rest: &[Piece]) {
-        let followed_by_of = matches!(rest.first(), Some(Piece::Word(Meaning::Filler, of)) if of == "of");
+        let followed_by_of = matches!(rest.first(), Some(Piece::Word(Meaning::Of, _)));
         let side = match measure {
             Measure::Leftmost => Some(RelationKind::LeftOf),
             Measure::Rightmost => Some(RelationKind::RightOf),
+            Measure::Frontmost => Some(RelationKind::InFrontOf),
+            Measure::Backmost => Some(RelationKind::Behind),
+            Measure::Highest => Some(RelationKind::On),
+            Measure::Lowest | Measure::Middle => Some(RelationKind::Inside),
             _ => None,
         };
-        match side {
-            Some(kind) if followed_by_of => self.word(Meaning::Relation(kind), text, rest),
-            _ => self.query.superlative = Some(Superlative { measure, rank: self.ordinal.take().unwrap_or(1) }),
+        if let Some(kind) = side.filter(|_| followed_by_of) {
+            return self.relation(kind, text);
+        }
+        let rank = self.ordinal.take().unwrap_or(1);
+        let superlative = Some(Superlative { measure, rank });
+        // "the tallest bookcase" speaks of what follows, "the mug ... on the left" of the target.
+        let of_what_follows = self.stack.last().is_some_and(|f| f.phrase.head.is_empty());
+        if of_what_follows { self.top().phrase.superlative = superlative } else { self.bottom().superlative = superlative }
+    }
+
+    fn and(&mut self) {
+        match self.stack.last() {
+            // "orange and black desk": one thing of two colours.
+            Some(frame) if frame.phrase.head.is_empty() => {}
+            Some(Frame { role: Role::Anchor { .. }, .. }) => {
+                self.pop();
+                self.push(Role::Anchor { joined: true });
+            }
+            Some(Frame { role: Role::With { absent }, .. }) => {
+                let absent = *absent;
+                self.pop();
+                self.push(Role::With { absent });
+            }
+            _ => {}
         }
     }
 
-    /// A comma or full stop. After it a new phrase may begin; "it" and relations go on about the target.
-    fn pause(&mut self) {
-        self.close();
-        self.slot = None;
-        self.negated = false;
-    }
-
-    /// Puts the open phrase where it belongs.
-    fn close(&mut self) {
-        let mut phrase = std::mem::take(&mut self.open);
-        let unknown = std::mem::take(&mut self.unknown);
-        // A phrase without a known noun ends in a noun nobody knows: "the theremin".
-        if phrase.head.is_empty() && !unknown.is_empty() && !(self.slot().is_target() && self.target_read) {
-            let mut unknown = unknown;
-            phrase.head = unknown.pop().unwrap_or_default();
-            phrase.unchecked.append(&mut unknown);
-        } else {
-            self.query.not_understood.extend(unknown);
-        }
-        if !phrase.head.is_empty() && phrase.meaning() == super::Meaning::Unknown {
-            self.query.not_understood.push(phrase.head.clone());
-        }
-        self.query.not_understood.extend(phrase.unchecked.iter().cloned());
-        if phrase.is_empty() {
-            self.slot = None;
+    /// "it" within a relation: what is looked at, or the target of a sentence about something else.
+    fn pronoun(&mut self) {
+        let awaits_anchor = self.stack.last().is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && f.is_empty());
+        if !awaits_anchor {
             return;
         }
-        match self.slot.take().unwrap_or(Slot::Target) {
-            Slot::Target if self.target_read => {
-                // A later sentence adds to the target: "it is brown".
-                self.query.target.colours.extend(phrase.colours);
-                self.query.target.other_than.extend(phrase.other_than);
-                self.query.target.sizes.extend(phrase.sizes);
-                if self.query.target.head.is_empty() {
-                    self.query.target.head = phrase.head;
-                }
-            }
-            Slot::Target => {
-                self.query.target = phrase;
-                self.target_read = true;
-            }
-            Slot::Anchor => {
-                if let Some(relation) = self.query.relations.last_mut() {
+        if self.there_is && self.stack.first().is_some_and(|f| f.role == Role::More) {
+            ITSELF.clone_into(&mut self.top().phrase.head);
+        } else if let Some(viewpoint) = self.query.viewpoint.clone() {
+            self.top().phrase = viewpoint.anchor;
+        }
+    }
+
+    /// A comma or full stop. After it a new phrase may begin; relations go on about the target.
+    fn pause(&mut self) {
+        self.unwind(0);
+        // "the nearest chair": to whom? Only an observer would know.
+        self.query.not_understood.extend(self.compared.take().map(|(_, _, words)| words));
+        (self.negated, self.of, self.same, self.number, self.there_is) = (false, false, false, None, false);
+    }
+
+    fn push(&mut self, role: Role) {
+        self.top();
+        self.stack.push(Frame::new(role));
+    }
+
+    /// The phrase at the bottom: the target, or what adds to it.
+    fn bottom(&mut self) -> &mut Phrase {
+        self.top();
+        &mut self.stack[0].phrase
+    }
+
+    /// Closes open phrases until `keep` are left.
+    fn unwind(&mut self, keep: usize) {
+        while self.stack.len() > keep {
+            self.pop();
+        }
+    }
+
+    /// Closes the innermost phrase and puts it where it belongs.
+    fn pop(&mut self) {
+        let Some(Frame { mut phrase, role, unknown }) = self.stack.pop() else { return };
+        self.settle_head(&mut phrase, unknown, role);
+        if phrase.is_empty() {
+            return;
+        }
+        match role {
+            Role::Target => self.target = Some(phrase),
+            Role::More => self.add_to_target(phrase),
+            Role::Anchor { .. } => {
+                if let Some(relation) = self.stack.last_mut().and_then(|below| below.phrase.relations.last_mut()) {
                     relation.anchors.push(phrase);
                 }
             }
-            Slot::Viewpoint => self.query.viewpoint = Some(phrase),
-            Slot::With { absent, of_anchor } => {
-                let anchor = self.query.relations.last_mut().and_then(|r| r.anchors.last_mut()).filter(|_| of_anchor);
-                anchor.unwrap_or(&mut self.query.target).with.push(With { phrase, absent });
+            Role::With { absent } => {
+                if let Some(below) = self.stack.last_mut() {
+                    below.phrase.with.push(With { phrase, absent });
+                }
             }
+            Role::View(look) => self.query.viewpoint = Some(Viewpoint { look, anchor: phrase }),
         }
+    }
+
+    /// A phrase without a known noun ends in a noun that is misspelt, or that nobody knows: "the theremin".
+    fn settle_head(&mut self, phrase: &mut Phrase, mut unknown: Vec<String>, role: Role) {
+        if phrase.head.is_empty() && phrase.uses.is_empty() && role != Role::More {
+            if let Some(word) = unknown.pop() {
+                phrase.head = spelling(&word).map_or(word, str::to_owned);
+            }
+            phrase.unchecked.append(&mut unknown);
+        }
+        self.query.not_understood.append(&mut unknown);
+        if !phrase.head.is_empty() && phrase.meaning() == super::Meaning::Unknown && phrase.head != ITSELF {
+            self.query.not_understood.push(phrase.head.clone());
+        }
+        self.query.not_understood.extend(phrase.unchecked.iter().cloned());
+    }
+
+    /// A later sentence adds to the target ("it is brown"), or speaks of something that stands in a relation to it.
+    fn add_to_target(&mut self, mut more: Phrase) {
+        let Some(target) = &mut self.target else {
+            self.target = Some(more);
+            return;
+        };
+        let same = words::is_anything(&more.head) || more.head == target.head || same_thing(&more, target);
+        if same {
+            target.colours.append(&mut more.colours);
+            target.other_than.append(&mut more.other_than);
+            target.traits.append(&mut more.traits);
+            target.with.append(&mut more.with);
+            target.relations.append(&mut more.relations);
+            target.superlative = target.superlative.or(more.superlative);
+            if words::is_anything(&target.head) && target.uses.is_empty() && !words::is_anything(&more.head) {
+                target.head = more.head;
+            }
+            return;
+        }
+        let to_target = |r: &Relation| r.anchors.iter().any(|a| a.head == ITSELF || a.head == target.head);
+        let Some(i) = more.relations.iter().position(to_target) else {
+            self.query.not_understood.push(more.head);
+            return;
+        };
+        let Relation { kind, text, negated, .. } = more.relations.remove(i);
+        target.relations.push(Relation { kind: kind.inverse(), text, anchors: vec![more], negated, rank: 1 });
     }
 }
 
-impl Slot {
-    fn is_target(&self) -> bool {
-        *self == Self::Target
+/// Head of an anchor that is the target itself.
+const ITSELF: &str = "it";
+
+/// Whether two phrases may name the same thing: "armchair" and "chair".
+fn same_thing(a: &Phrase, b: &Phrase) -> bool {
+    match (a.meaning(), b.meaning()) {
+        (super::Meaning::Nouns(a), super::Meaning::Nouns(b)) => match (a.first(), b.first()) {
+            (Some(first), Some(second)) => b.contains(first) || a.contains(second),
+            _ => false,
+        },
+        _ => false,
+    }
+}
+
+/// Whether a noun phrase without an article follows: "closest chair", not "closest the chair".
+fn is_bare_noun(rest: &[Piece]) -> bool {
+    rest.iter().find(|p| !matches!(p, Piece::Word(Meaning::Colour(_) | Meaning::Trait(_), _))).is_some_and(|p| matches!(p, Piece::Noun(_)))
+}
+
+fn is_filler(piece: &Piece) -> bool {
+    matches!(piece, Piece::Word(Meaning::Filler | Meaning::Determiner | Meaning::OfLast | Meaning::OfTarget, _))
+}
+
+impl Frame {
+    fn new(role: Role) -> Self {
+        Self { phrase: Phrase::default(), role, unknown: Vec::new() }
+    }
+
+    fn is_empty(&self) -> bool {
+        self.phrase.is_empty() && self.unknown.is_empty()
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::geometry::colour::ColourName;
-    use crate::grounding::query::SizeWord;
-    use proptest::prelude::*;
-
-    /// The query in a compact notation: target; relation(anchors); superlative; viewpoint.
-    fn summary(query: &str) -> String {
-        let parsed = parse(query);
-        let mut parts = vec![parsed.target.text()];
-        for with in &parsed.target.with {
-            parts.push(format!("{} {}", if with.absent { "without" } else { "with" }, with.phrase.text()));
-        }
-        for relation in &parsed.relations {
-            let not = if relation.negated { "not " } else { "" };
-            let anchors: Vec<_> = relation.anchors.iter().map(Phrase::text).collect();
-            parts.push(format!("{not}{:?}({})", relation.kind, anchors.join(", ")));
-        }
-        parts.extend(parsed.superlative.map(|s| format!("{:?} {}", s.measure, s.rank)));
-        parts.extend(parsed.viewpoint.map(|v| format!("facing {}", v.text())));
-        parts.join("; ")
-    }
-
-    #[test]
-    fn everyday_questions_are_understood() {
-        for (query, expected) in [
-            ("the black chair closest to the door", "black chair; Closest(door)"),
-            ("find the television", "television"),
-            ("this is a teapot. it is standing on the dining table.", "teapot; On(dining table)"),
-            ("the stool with the orange seat", "stool; with orange seat"),
-            ("the bookcase between the red sofa and the desk", "bookcase; Between(red sofa, desk)"),
-            ("a window that sits above the dresser cabinet", "window; Above(dresser cabinet)"),
-            ("facing the window, the curtain on the left", "curtain; Leftmost 1; facing window"),
-            ("the second chair from the left", "chair; Leftmost 2"),
-            ("the small box in the corner", "small box; InCorner()"),
-            ("the mug to the left of the laptop", "mug; LeftOf(laptop)"),
-            ("the tallest bookcase", "bookcase; Tallest 1"),
-            ("where is the backpack?", "backpack"),
-            ("the one that is not next to the door", "one; not Near(door)"),
-            ("the sofa that is not red near the blue chair", "not red sofa; Near(blue chair)"),
-            ("the sofa which isn't red", "not red sofa"),
-        ] {
-            assert_eq!(summary(query), expected, "{query}");
-        }
-    }
-
-    #[test]
-    fn attributes_belong_to_their_noun() {
-        let parsed = parse("the large red chair next to the small white table");
-        assert_eq!((parsed.target.colours, parsed.target.sizes), (vec![ColourName::Red], vec![SizeWord::Large]));
-        let anchor = &parsed.relations[0].anchors[0];
-        assert_eq!((&anchor.colours, &anchor.sizes), (&vec![ColourName::White], &vec![SizeWord::Small]));
-    }
-
-    #[test]
-    fn what_an_anchor_carries_stays_with_the_anchor() {
-        let parsed = parse("the stool in front of the white bookcase without books");
-        let anchor = &parsed.relations[0].anchors[0];
-        assert_eq!(anchor.head, "bookcase");
-        assert!(anchor.with[0].absent && anchor.with[0].phrase.head == "books");
-        assert!(parsed.target.with.is_empty());
-    }
-
-    #[test]
-    fn strange_nouns_are_reported() {
-        let parsed = parse("the shiny theremin on the desk");
-        assert_eq!(parsed.target.head, "theremin");
-        assert_eq!(parsed.not_understood, ["theremin", "shiny"]);
-        assert_eq!(parsed.relations[0].anchors[0].head, "desk");
-    }
-
-    proptest! {
-        #[test]
-        fn any_text_is_read_without_panic(query in "\\PC{0,200}") {
-            let _ = parse(&query);
-        }
-
-        #[test]
-        fn any_order_of_known_words_is_read_without_panic(words in prop::collection::vec(prop::sample::select(vec![
-            "the", "chair", "red", "between", "and", "on", "it", "is", "not", "facing", ",", "left", "of", "second", "from", "without", "theremin",
-        ]), 0..30)) {
-            let _ = parse(&words.join(" "));
-        }
-    }
-}
+mod tests;

@@ -2,7 +2,9 @@
 //!
 //! Built in: a tokeniser that knows the lexicon and a grammar of noun phrases joined by relation words. English only.
 
+mod affordances;
 mod grammar;
+mod tokens;
 mod words;
 
 use crate::geometry::colour::ColourName;
@@ -14,27 +16,50 @@ pub use grammar::parse;
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ParsedQuery {
     pub target: Phrase,
-    pub relations: Vec<Relation>,
-    /// "the largest", "the second from the left".
-    pub superlative: Option<Superlative>,
-    /// "facing the window": left and right are those of somebody who looks at it.
-    pub viewpoint: Option<Phrase>,
+    /// The target once more, where the words allow another reading: in "the cup on the table by the door" either may be by the door.
+    pub other_reading: Option<Phrase>,
+    /// Left, right, front and back are those of somebody who looks like this.
+    pub viewpoint: Option<Viewpoint>,
     pub not_understood: Vec<String>,
 }
 
-/// A noun phrase.
+/// How somebody looks at the room.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Viewpoint {
+    pub look: Look,
+    pub anchor: Phrase,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Look {
+    /// "facing the window"
+    Facing,
+    /// "from the door", "as you walk in"
+    From,
+    /// "with your back to the window"
+    BackTo,
+}
+
+/// A noun phrase, with all that is said of the thing it names.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Phrase {
     /// The noun as the query says it; empty when the phrase has none ("the red one").
     pub head: String,
+    /// What it is for: "something to sit on". Words of the lexicon.
+    pub uses: Vec<String>,
     pub colours: Vec<ColourName>,
     /// Colours it must not have: "not red".
     pub other_than: Vec<ColourName>,
-    pub sizes: Vec<SizeWord>,
+    pub traits: Vec<Trait>,
     /// Words in front of the noun that nothing here can check: "leather", "patterned".
     pub unchecked: Vec<String>,
+    /// "two monitors": how many of them there are.
+    pub count: Option<u32>,
     /// What the phrase's own object has: "the table with the book on it".
     pub with: Vec<With>,
+    pub relations: Vec<Relation>,
+    /// "the largest", "the second from the left".
+    pub superlative: Option<Superlative>,
 }
 
 /// Something an object carries or lacks.
@@ -60,6 +85,7 @@ impl Phrase {
     #[must_use]
     pub fn meaning(&self) -> Meaning {
         match self.head.as_str() {
+            head if words::is_anything(head) && !self.uses.is_empty() => Meaning::Nouns(Lexicon::get().of_uses(&self.uses)),
             head if words::is_anything(head) => Meaning::Anything,
             "wall" | "walls" => Meaning::Structure(Structure::Wall),
             "floor" | "ground" => Meaning::Structure(Structure::Floor),
@@ -74,13 +100,17 @@ impl Phrase {
     /// The phrase in words: "small red chair".
     #[must_use]
     pub fn text(&self) -> String {
-        let sizes = self.sizes.iter().map(|s| s.word());
+        let traits = self.traits.iter().map(|s| s.word());
         let colours = self.other_than.iter().flat_map(|c| ["not", c.word()]).chain(self.colours.iter().map(|c| c.word()));
-        let head = if self.head.is_empty() { "thing" } else { &self.head };
-        sizes
+        let head = match (&self.head, self.uses.is_empty()) {
+            (head, true) if head.is_empty() => "thing".to_owned(),
+            (head, true) => head.clone(),
+            (_, false) => format!("something to {}", self.uses.join(" or ")),
+        };
+        traits
             .chain(colours)
             .chain(self.unchecked.iter().map(String::as_str))
-            .chain([head])
+            .chain([head.as_str()])
             .collect::<Vec<_>>()
             .join(" ")
     }
@@ -90,16 +120,22 @@ impl Phrase {
     }
 }
 
+/// Attributes that are seen by comparison, or by the box.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum SizeWord {
+pub enum Trait {
     Large,
     Small,
     Tall,
     Low,
     Long,
+    Light,
+    Dark,
+    Round,
+    Square,
+    Rectangular,
 }
 
-impl SizeWord {
+impl Trait {
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -108,11 +144,16 @@ impl SizeWord {
             Self::Tall => "tall",
             Self::Low => "low",
             Self::Long => "long",
+            Self::Light => "light",
+            Self::Dark => "dark",
+            Self::Round => "round",
+            Self::Square => "square",
+            Self::Rectangular => "rectangular",
         }
     }
 }
 
-/// A relation of the target to one or more anchors.
+/// A relation of a thing to one or more anchors.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Relation {
     pub kind: RelationKind,
@@ -121,6 +162,8 @@ pub struct Relation {
     pub anchors: Vec<Phrase>,
     /// "not the one by the door".
     pub negated: bool,
+    /// "the second closest": 2. Only comparisons have more than 1.
+    pub rank: u32,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -136,10 +179,71 @@ pub enum RelationKind {
     Above,
     Below,
     On,
+    /// The other way round: the anchor rests on it.
+    Carrying,
     Inside,
     Between,
+    Around,
+    Opposite,
+    Facing,
+    Leaning,
     AgainstWall,
     InCorner,
+    InMiddle,
+}
+
+impl RelationKind {
+    pub const ALL: [Self; 21] = [
+        Self::Near,
+        Self::Far,
+        Self::Closest,
+        Self::Farthest,
+        Self::LeftOf,
+        Self::RightOf,
+        Self::InFrontOf,
+        Self::Behind,
+        Self::Above,
+        Self::Below,
+        Self::On,
+        Self::Carrying,
+        Self::Inside,
+        Self::Between,
+        Self::Around,
+        Self::Opposite,
+        Self::Facing,
+        Self::Leaning,
+        Self::AgainstWall,
+        Self::InCorner,
+        Self::InMiddle,
+    ];
+
+    /// Whether rivals are compared: "closest".
+    #[must_use]
+    pub fn is_comparison(self) -> bool {
+        matches!(self, Self::Closest | Self::Farthest)
+    }
+
+    /// Whether it speaks of the room and takes no anchor.
+    #[must_use]
+    pub fn is_of_the_room(self) -> bool {
+        matches!(self, Self::AgainstWall | Self::InCorner | Self::InMiddle)
+    }
+
+    /// The relation the anchor stands in to the thing: "there is a lamp on it" says that it carries a lamp.
+    #[must_use]
+    pub fn inverse(self) -> Self {
+        match self {
+            Self::LeftOf => Self::RightOf,
+            Self::RightOf => Self::LeftOf,
+            Self::InFrontOf => Self::Behind,
+            Self::Behind => Self::InFrontOf,
+            Self::Above => Self::Below,
+            Self::Below => Self::Above,
+            Self::On | Self::Inside | Self::Leaning => Self::Carrying,
+            Self::Carrying => Self::On,
+            other => other,
+        }
+    }
 }
 
 /// The extreme of a kind: `rank` 1 is the extreme itself, 2 the second from it.
@@ -161,4 +265,25 @@ pub enum Measure {
     Rightmost,
     Frontmost,
     Backmost,
+    /// In the middle of a row of them.
+    Middle,
+}
+
+impl Measure {
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Largest => "largest",
+            Self::Smallest => "smallest",
+            Self::Tallest => "tallest",
+            Self::Shortest => "shortest",
+            Self::Highest => "highest",
+            Self::Lowest => "lowest",
+            Self::Leftmost => "leftmost",
+            Self::Rightmost => "rightmost",
+            Self::Frontmost => "frontmost",
+            Self::Backmost => "backmost",
+            Self::Middle => "middle",
+        }
+    }
 }

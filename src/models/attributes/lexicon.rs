@@ -51,6 +51,22 @@ pub enum Place {
     Unknown,
 }
 
+/// What a thing's surface is like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shape {
+    /// One plane: rugs, doors, screens.
+    Flat,
+    /// Closed and box-like.
+    Boxy,
+    /// Frames, legs and gaps.
+    Open,
+    Round,
+    /// Plants.
+    Bushy,
+    /// Bags, clothes, pillows.
+    Soft,
+}
+
 /// One entry of the lexicon.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Noun {
@@ -63,6 +79,11 @@ pub struct Noun {
     pub height: Range,
     pub base: Range,
     places: Vec<Place>,
+    pub shape: Shape,
+    /// Nouns it usually stands on or hangs at, most usual first; also `floor`, `wall`, `ceiling`.
+    pub usually_on: Vec<String>,
+    /// What people do with it: "sit on", "write with".
+    pub uses: Vec<String>,
     /// How often such a thing is met, `0..=1`, against the most common ones.
     pub prior: f32,
 }
@@ -127,6 +148,23 @@ impl Lexicon {
             .map_or_else(Vec::new, |ids| ids.iter().map(|&i| &self.nouns[i]).collect())
     }
 
+    /// Whether a word, or its singular, leads to a noun.
+    #[must_use]
+    pub fn knows(&self, word: &str) -> bool {
+        singulars(word).iter().any(|w| self.by_word.contains_key(w))
+    }
+
+    /// Every word that leads to a noun, in no order.
+    pub fn words(&self) -> impl Iterator<Item = &str> {
+        self.by_word.keys().map(String::as_str)
+    }
+
+    /// The nouns of things that are for one of these uses.
+    #[must_use]
+    pub fn of_uses(&self, uses: &[String]) -> Vec<&Noun> {
+        self.nouns.iter().filter(|noun| noun.uses.iter().any(|own| uses.contains(own))).collect()
+    }
+
     /// How many words the longest entry has.
     #[must_use]
     pub fn longest_words(&self) -> usize {
@@ -161,7 +199,7 @@ impl Lexicon {
 
 fn read_line(line: &str) -> Option<Noun> {
     let columns: Vec<&str> = line.split('\t').collect();
-    let [name, synonyms, kinds, long, short, height, base, support, usual] = columns[..] else { return None };
+    let [name, synonyms, kinds, long, short, height, base, support, usual, shape, usually_on, uses] = columns[..] else { return None };
     let words = |list: &str| list.split(',').map(str::trim).filter(|w| !w.is_empty()).map(str::to_owned).collect::<Vec<_>>();
     let places = words(support)
         .iter()
@@ -182,6 +220,17 @@ fn read_line(line: &str) -> Option<Noun> {
         height: range(height)?,
         base: range(base)?,
         places,
+        shape: match shape {
+            "flat" => Shape::Flat,
+            "boxy" => Shape::Boxy,
+            "open" => Shape::Open,
+            "round" => Shape::Round,
+            "bushy" => Shape::Bushy,
+            "soft" => Shape::Soft,
+            _ => return None,
+        },
+        usually_on: words(usually_on),
+        uses: words(uses),
         prior: match usual {
             "common" => 1.0,
             "usual" => 0.8,

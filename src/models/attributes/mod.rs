@@ -8,7 +8,7 @@ mod lexicon;
 
 use crate::geometry::colour::ColourName;
 use crate::scene::{Instance, NameGuess, Structure, Support};
-pub use lexicon::{Lexicon, Noun, Place, Range};
+pub use lexicon::{Lexicon, Noun, Place, Range, Shape};
 
 /// Name and version, recorded with parses and answers.
 pub const NAME: &str = "attributes-1";

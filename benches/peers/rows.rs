@@ -1,0 +1,209 @@
+//! What is compared with what: each function gives the rows of one job.
+
+use crate::duel::{Comparison, Ours, Run, Side};
+use crate::process::Peer;
+use crate::vccs::Vccs;
+use anyhow::anyhow;
+use camino::Utf8PathBuf;
+use std::collections::HashSet;
+use std::time::Instant;
+use uniground::geometry::boxes::Aabb;
+use uniground::geometry::statistics::quantile;
+use uniground::geometry::voxels::{VoxelGrid, typical_spacing_m};
+use uniground::geometry::{Point3, Vector3};
+use uniground::ingest::read_cloud;
+use uniground::progress::Progress;
+use uniground::render::{ROOM_VIEW, scene_picture};
+use uniground::scene::{PointCloud, write_cloud_ply};
+use uniground::scene_parsing::superpoints::{self, SuperpointSettings};
+
+/// Edge of the voxels a cloud is thinned to, metres.
+const THINNED_M: f32 = 0.05;
+/// What `scene_picture` cuts off and widens points by: the peer's mesh is to show the same.
+const CEILING_PERCENTILE: f32 = 0.95;
+const SPLAT_OVERLAP: f32 = 1.6;
+/// What `scene_picture` leaves where nothing is.
+const BACKGROUND: [u8; 3] = [250, 250, 250];
+
+/// The cloud in memory, the same as a file, and its extent.
+pub struct Input {
+    pub cloud: PointCloud,
+    file: Utf8PathBuf,
+    extent: Aabb,
+}
+
+impl Input {
+    /// Writes the cloud to `file`, whence the peers have it.
+    pub fn new(cloud: PointCloud, file: Utf8PathBuf) -> Self {
+        write_cloud_ply(&cloud, std::fs::File::create(&file).unwrap()).unwrap();
+        let extent = Aabb::around(&cloud.positions).unwrap();
+        Self { cloud, file, extent }
+    }
+
+    /// The cloud, the camera of our picture, and a mesh of the squares our picture is made of.
+    pub fn for_open3d(&self) -> [String; 3] {
+        let camera = ROOM_VIEW.camera(&self.extent);
+        let of = camera.intrinsics;
+        let ceiling_m = quantile(&mut self.cloud.positions.iter().map(|p| p.z).collect::<Vec<_>>(), CEILING_PERCENTILE).unwrap();
+        let rows = camera.world_to_camera().to_homogeneous().transpose();
+        let pose: String = rows.iter().map(|v| format!(" {v}")).collect();
+        let side_m = typical_spacing_m(&self.cloud.positions) * SPLAT_OVERLAP;
+        [
+            format!("read {}", self.file),
+            format!("camera {} {} {} {} {} {} {ceiling_m}{pose}", of.width, of.height, of.fx, of.fy, of.cx, of.cy),
+            format!("squares {side_m}"),
+        ]
+    }
+}
+
+/// Times `work`; what it gives is told outside the timing.
+fn timed<T>(work: impl Fn() -> T, tell: impl Fn(&T) -> String) -> Run {
+    let start = Instant::now();
+    let result = work();
+    let ms = start.elapsed().as_secs_f32() * 1000.0;
+    Run { ms, gives: tell(&result) }
+}
+
+fn asked(peer: &Peer, command: String) -> Side<'_> {
+    Box::new(move || peer.ask(&command))
+}
+
+fn own_superpoints(input: &Input, settings: SuperpointSettings) -> Side<'_> {
+    let work = move || superpoints::compute(&input.cloud, &settings, &Progress::silent()).unwrap();
+    Box::new(move || Ok(timed(work, |found| format!("{} superpoints", found.patches.len()))))
+}
+
+pub fn superpoints<'a>(input: &'a Input, vccs: &'a anyhow::Result<Vccs>) -> Vec<Comparison<'a>> {
+    let default = SuperpointSettings::default();
+    let same = SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..default };
+    let against = |ours: SuperpointSettings, voxel: &'static str, differ: &str| Comparison {
+        what: format!("superpoints {}/{} beside PCL VCCS {voxel}/.2", ours.voxel_m, ours.seed_m),
+        ours: Ours::Same(own_superpoints(input, ours)),
+        peer: Box::new(move || {
+            let (seconds, labels) = vccs.as_ref().map_err(|e| anyhow!("{e:#}"))?.run(voxel, ".2")?;
+            let distinct: HashSet<u32> = labels.into_iter().filter(|label| *label > 0).collect();
+            Ok(Run { ms: seconds * 1000.0, gives: format!("{} superpoints", distinct.len()) })
+        }),
+        differ: differ.to_owned(),
+    };
+    vec![
+        against(
+            same,
+            ".05",
+            "the same voxel and seed. PCL runs on one core and in a process of its own each time; ours uses all cores.",
+        ),
+        against(default, ".05", "our default settings beside the peer's usual ones."),
+        against(
+            default,
+            ".02",
+            "our default beside the peer's settings of like quality (`make bench-superpoints` measures it).",
+        ),
+    ]
+}
+
+pub fn reading<'a>(input: &'a Input, open3d: &'a Peer) -> Comparison<'a> {
+    Comparison {
+        what: "reading a binary PLY, Open3D `io.read_point_cloud`".into(),
+        ours: Ours::Same(Box::new(|| Ok(timed(|| read_cloud(&input.file).unwrap(), |cloud| format!("{} points", cloud.len()))))),
+        peer: asked(open3d, format!("read {}", input.file)),
+        differ: "the same file, in the page cache. Ours keeps 32-bit coordinates and 8-bit colours and checks both, Open3D widens \
+                 all to 64-bit floats."
+            .into(),
+    }
+}
+
+pub fn thinning<'a>(input: &'a Input, open3d: &'a Peer) -> Comparison<'a> {
+    Comparison {
+        what: format!("thinning to {THINNED_M} m voxels, Open3D `voxel_down_sample`"),
+        ours: Ours::Same(Box::new(|| Ok(timed(|| means(&input.cloud), |cloud| format!("{} voxels", cloud.len()))))),
+        peer: asked(open3d, format!("voxels {THINNED_M}")),
+        differ: "the library has no such call: ours is its public `VoxelGrid::new`, then the means of points and colours taken in \
+                 the bench on one core. Our grid lies at the origin, whose planes cut this room's walls into two layers; Open3D's \
+                 lies at the cloud's corner and fills fewer voxels."
+            .into(),
+    }
+}
+
+/// The mean point and colour of every voxel.
+fn means(cloud: &PointCloud) -> PointCloud {
+    let grid = VoxelGrid::new(&cloud.positions, THINNED_M);
+    let mut sums = vec![(0.0, Vector3::zeros(), Vector3::zeros()); grid.len()];
+    for ((p, c), &voxel) in cloud.positions.iter().zip(&cloud.colours).zip(&grid.of_point) {
+        let (count, position, colour) = &mut sums[voxel as usize];
+        *count += 1.0;
+        *position += p.coords;
+        *colour += Vector3::from(c.map(f32::from));
+    }
+    let mean = |(count, position, colour): (f32, Vector3<f32>, Vector3<f32>)| {
+        (Point3::from(position / count), <[u8; 3]>::from((colour / count).map(|c| c.round() as u8)))
+    };
+    let (positions, colours) = sums.into_iter().map(mean).unzip();
+    PointCloud { positions, colours }
+}
+
+pub fn normals<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
+    let voxel_m = SuperpointSettings::default().voxel_m;
+    let against = |what: String, command: String, differ: &str| Comparison {
+        what,
+        ours: Ours::Within(own_superpoints(input, SuperpointSettings::default())),
+        peer: asked(open3d, command),
+        differ: format!("{differ} Ours is a part of superpoints and can not be had alone: the figure is that of all of superpoints."),
+    };
+    vec![
+        against(
+            format!("normals of {voxel_m} m voxels, Open3D `estimate_normals`"),
+            format!("voxel_normals {voxel_m}"),
+            "one normal a voxel on both sides. Open3D's: from the 30 nearest voxel means, which are made beforehand; ours: from the \
+             points of the voxel and the 26 around it.",
+        ),
+        against(
+            "normals of all points, Open3D `estimate_normals`".into(),
+            "normals".into(),
+            "Open3D's: one a point, from the 30 nearest; ours: one a voxel, which is less.",
+        ),
+    ]
+}
+
+pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
+    let size = format!("{}x{}", ROOM_VIEW.width, ROOM_VIEW.height);
+    let against = |how: &str, command: &str, differ: String| Comparison {
+        what: format!("picture of the room, {size}, Open3D {how}"),
+        ours: Ours::Same(Box::new(|| {
+            let drawn = |picture: &image::RgbImage| format!("{} pixels", picture.pixels().filter(|p| p.0 != BACKGROUND).count());
+            Ok(timed(|| scene_picture(&input.cloud, &input.extent, &ROOM_VIEW, &[]), drawn))
+        })),
+        peer: asked(open3d, command.into()),
+        differ,
+    };
+    let mesh = open3d
+        .prepared
+        .last()
+        .map_or_else(String::new, |run| format!(" ({} built once in {:.0} ms)", run.gives, run.ms));
+    vec![
+        against(
+            "`project_to_rgbd_image`",
+            "project",
+            "the same camera and points. Ours finds the ceiling and how far apart points are, and closes the gaps with squares; \
+             Open3D colours one pixel a point, and the ceiling was cut off beforehand."
+                .into(),
+        ),
+        against(
+            "`RaycastingScene`",
+            "cast",
+            format!(
+                "one ray a pixel from the same camera at the squares ours draws, two triangles a point{mesh}. That mesh, its tree, \
+                 the rays and the cut ceiling are ready beforehand; ours starts from the points each time."
+            ),
+        ),
+    ]
+}
+
+pub fn encoding(onnxruntime: &Peer) -> Vec<Comparison<'_>> {
+    let row = |what: &str, command: &str| Comparison {
+        what: format!("{what} of a tiny dual encoder, onnxruntime"),
+        ours: Ours::Nothing,
+        peer: asked(onnxruntime, command.into()),
+        differ: "this service runs no ONNX model yet; the figure only shows that the peer is there.".into(),
+    };
+    vec![row("one picture", "image 1"), row("one text", "text 1")]
+}

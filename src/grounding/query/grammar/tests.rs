@@ -1,0 +1,190 @@
+use super::*;
+use crate::geometry::colour::ColourName;
+use crate::grounding::query::Trait;
+use proptest::prelude::*;
+
+/// A phrase in a compact notation: words; with; relations(anchors, nested in brackets); superlative.
+fn notation(phrase: &Phrase) -> String {
+    let count = phrase.count.map_or_else(String::new, |n| format!("{n} "));
+    let mut parts = vec![format!("{count}{}", phrase.text())];
+    for with in &phrase.with {
+        parts.push(format!("{} [{}]", if with.absent { "without" } else { "with" }, notation(&with.phrase)));
+    }
+    for relation in &phrase.relations {
+        let not = if relation.negated { "not " } else { "" };
+        let rank = if relation.rank > 1 { format!(" {}", relation.rank) } else { String::new() };
+        let anchors: Vec<_> = relation.anchors.iter().map(notation).collect();
+        parts.push(format!("{not}{:?}{rank}({})", relation.kind, anchors.join(" & ")));
+    }
+    parts.extend(phrase.superlative.map(|s| format!("{:?} {}", s.measure, s.rank)));
+    parts.join("; ")
+}
+
+fn summary(query: &str) -> String {
+    let parsed = parse(query);
+    let viewpoint = parsed.viewpoint.map_or_else(String::new, |v| format!("; {:?} {}", v.look, notation(&v.anchor)));
+    notation(&parsed.target) + &viewpoint
+}
+
+fn check(cases: &[(&str, &str)]) {
+    for (query, expected) in cases {
+        assert_eq!(summary(query), *expected, "{query}: {:?}", parse(query));
+    }
+}
+
+#[test]
+fn everyday_questions_are_understood() {
+    check(&[
+        ("the black chair closest to the door", "black chair; Closest(door)"),
+        ("find the television", "television"),
+        ("the bookcase between the red sofa and the desk", "bookcase; Between(red sofa & desk)"),
+        ("a window that sits above the dresser", "window; Above(dresser)"),
+        ("the small box in the corner", "small box; InCorner()"),
+        ("the mug to the left of the laptop", "mug; LeftOf(laptop)"),
+        ("the tallest bookcase", "bookcase; Tallest 1"),
+        ("where is the backpack?", "backpack"),
+        ("the chair next to the sofa and the lamp", "chair; Near(sofa & lamp)"),
+        ("the rug in the middle of the room", "rug; InMiddle()"),
+        ("the chairs around the table", "chairs; Around(table)"),
+    ]);
+}
+
+#[test]
+fn descriptions_of_several_sentences_speak_of_one_thing() {
+    check(&[
+        ("this is a teapot. it is standing on the dining table.", "teapot; On(dining table)"),
+        ("this is a brown chair. it is at the end of the long table.", "brown chair; Near(long table)"),
+        ("there is a lamp. the lamp is black and it is on the desk.", "black lamp; On(desk)"),
+        ("it is a sofa. there is a mug on it.", "sofa; Carrying(mug)"),
+        ("this is a chair. there is a window to the left of it.", "chair; RightOf(window)"),
+        ("the chair is next to the table. it is red.", "red chair; Near(table)"),
+    ]);
+}
+
+#[test]
+fn orders_and_counts() {
+    check(&[
+        ("the second chair from the left", "chair; Leftmost 2"),
+        ("the third largest box", "box; Largest 3"),
+        ("the second closest chair to the door", "chair; Closest 2(door)"),
+        ("the table with four chairs", "table; with [4 chairs]"),
+        ("the desk with a single monitor", "desk; with [1 monitor]"),
+        ("the middle window", "window; Middle 1"),
+        ("of the three filing cabinets, the one closest to the desk", "3 filing cabinets; Closest(desk)"),
+    ]);
+}
+
+#[test]
+fn negation_reaches_what_it_speaks_of() {
+    check(&[
+        ("the one that is not next to the door", "one; not Near(door)"),
+        ("not the one by the door, the other one", "one; not Near(door)"),
+        ("the sofa that is not red near the blue chair", "not red sofa; Near(blue chair)"),
+        ("the sofa which isn't red", "not red sofa"),
+        ("the stool in front of the white bookcase without books", "stool; InFrontOf(white bookcase; without [books])"),
+        ("the table that does not have a lamp", "table; without [lamp]"),
+    ]);
+}
+
+#[test]
+fn somebody_looks() {
+    check(&[
+        ("facing the window, the curtain on the left", "curtain; Leftmost 1; Facing window"),
+        ("the curtain on the right when facing the window", "curtain; Rightmost 1; Facing window"),
+        ("as you walk in, the first chair on the left", "chair; Leftmost 1; From door"),
+        ("from the perspective of the sofa, the lamp on the right", "lamp; Rightmost 1; From sofa"),
+        ("with your back to the door, the desk on the left", "desk; Leftmost 1; BackTo door"),
+        ("the chair facing the window", "chair; Facing(window)"),
+        ("facing the tv, the bookcase just to the left of it", "bookcase; LeftOf(tv); Facing tv"),
+    ]);
+}
+
+#[test]
+fn anchors_have_anchors_of_their_own() {
+    check(&[
+        ("the mug on the table by the door", "mug; On(table; Near(door))"),
+        ("the lamp on the desk with two monitors", "lamp; On(desk; with [2 monitors])"),
+        ("the phone on the same desk as the grey lamp", "phone; On(desk; with [grey lamp])"),
+        ("the mug on the table closest to the door", "mug; On(table); Closest(door)"),
+    ]);
+    let parsed = parse("the mug on the table by the door");
+    assert_eq!(notation(&parsed.other_reading.unwrap()), "mug; On(table); Near(door)");
+    assert!(parse("the mug on the table").other_reading.is_none());
+}
+
+#[test]
+fn commands_and_slips() {
+    check(&[
+        ("bring me the red mug on the coffee table", "red mug; On(coffee table)"),
+        ("could you please pick up the blue cup", "blue cup"),
+        ("go to the refrigeratr", "refrigerator"),
+        ("robot, fetch the laptop from the desk", "laptop"),
+        ("turn on the lamp next to the bed", "lamp; Near(bed)"),
+    ]);
+}
+
+#[test]
+fn the_last_noun_is_the_head_but_for_of() {
+    let parsed = parse("the bowl of apples on the computer desk");
+    assert_eq!((parsed.target.head.as_str(), parsed.target.relations[0].anchors[0].head.as_str()), ("bowl", "computer desk"));
+    assert_eq!(parse("a pair of shoes").target.head, "shoes");
+    assert_eq!(parse("the back of the chair").target.head, "chair");
+}
+
+#[test]
+fn attributes_belong_to_their_noun() {
+    let parsed = parse("the large red chair next to the small white table");
+    assert_eq!((parsed.target.colours, parsed.target.traits), (vec![ColourName::Red], vec![Trait::Large]));
+    let anchor = &parsed.target.relations[0].anchors[0];
+    assert_eq!((&anchor.colours, &anchor.traits), (&vec![ColourName::White], &vec![Trait::Small]));
+    let both = parse("the orange and black desk");
+    assert_eq!(both.target.colours, [ColourName::Orange, ColourName::Black]);
+}
+
+#[test]
+fn every_word_is_used_or_listed() {
+    let parsed = parse("the shiny theremin on the desk");
+    assert_eq!(parsed.target.head, "theremin");
+    assert_eq!(parsed.not_understood, ["theremin", "shiny"]);
+    assert_eq!(parsed.target.relations[0].anchors[0].head, "desk");
+    // Whatever the words: a noun of the parse, or on the list.
+    for query in ["zorgle blip the chair", "the frobnicated chair", "qwerty"] {
+        let parsed = parse(query);
+        for word in query.split(' ').filter(|w| !["the", "chair"].contains(w)) {
+            let listed = parsed.not_understood.iter().any(|w| w == word) || parsed.target.unchecked.iter().any(|w| w == word);
+            assert!(listed, "{query}: {word} in {parsed:?}");
+        }
+    }
+}
+
+#[test]
+fn contradictions_loops_and_crowds_are_read() {
+    for query in [
+        "the chair that is on the table and not on the table",
+        "the chair next to the chair next to the chair",
+        "it",
+        "the of and with not",
+        "SELECT * FROM scenes; DROP TABLE scenes",
+        "椅子在哪里",
+        "🪑🪑🪑",
+    ] {
+        let _ = parse(query);
+    }
+    let many = format!("the mug {}", "near the chair ".repeat(50));
+    assert!(parse(&many).target.head == "mug");
+}
+
+proptest! {
+    #[test]
+    fn any_text_is_read_without_panic(query in "\\PC{0,200}") {
+        let _ = parse(&query);
+    }
+
+    #[test]
+    fn any_order_of_known_words_is_read_without_panic(words in prop::collection::vec(prop::sample::select(vec![
+        "the", "chair", "red", "between", "and", "on", "it", "is", "not", "facing", ",", "left", "of", "second", "from", "without", "theremin",
+        "something", "to", "sit", "there", "the same", "as", "with", "two", "closest", "on the left", "you walk in", "that is",
+    ]), 0..30)) {
+        let _ = parse(&words.join(" "));
+    }
+}
