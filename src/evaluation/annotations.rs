@@ -6,6 +6,7 @@
 
 use super::records::{Omission, Record};
 use crate::geometry::boxes::Aabb;
+use crate::geometry::colour::ColourName;
 use crate::geometry::rotated_box::RotatedBox;
 use crate::geometry::{MAX_COORDINATE_M, Point3, Vector3};
 use crate::scene::Structure;
@@ -27,6 +28,8 @@ pub struct SceneObject {
     /// Points of the scan's cloud that belong to it, as annotated.
     pub cloud_points: u32,
     pub mean_rgb: Option<[f32; 3]>,
+    /// Colour names, as annotated.
+    pub colours: Vec<ColourName>,
 }
 
 /// The objects of one scene, in order of id.
@@ -53,6 +56,8 @@ struct ObjectRecord {
     #[serde(default)]
     cloud_points: u32,
     mean_rgb: Option<[f32; 3]>,
+    /// "light brown and white"
+    colour: Option<String>,
 }
 
 #[derive(Deserialize)]
@@ -135,6 +140,7 @@ impl Annotations {
             rotated: None,
             cloud_points: 0,
             mean_rgb: None,
+            colours: Vec::new(),
         };
         Self { objects: boxes.iter().enumerate().map(object).collect(), of_point: None }
     }
@@ -165,14 +171,16 @@ impl SceneObject {
 }
 
 fn of_object(record: ObjectRecord, file: &Utf8Path, line: u64) -> Result<SceneObject, Omission> {
-    let ObjectRecord { id, name, min, max, obb, cloud_points, mean_rgb } = record;
+    let ObjectRecord { id, name, min, max, obb, cloud_points, mean_rgb, colour } = record;
+    let words = colour.unwrap_or_default().replace("gray", "grey");
+    let colours = ColourName::ALL.into_iter().filter(|c| words.split_whitespace().any(|word| word == c.word())).collect();
     let aabb = Aabb::from_corners(Point3::from(min), Point3::from(max));
     let rotated = obb.map(|TurnedRecord { center, size, yaw_deg }| RotatedBox {
         center: Point3::from(center),
         size: Vector3::from(size),
         rotation: UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians()),
     });
-    let object = SceneObject { id, name, aabb, rotated, cloud_points, mean_rgb };
+    let object = SceneObject { id, name, aabb, rotated, cloud_points, mean_rgb, colours };
     sound(object).map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))
 }
 
@@ -185,6 +193,7 @@ fn of_lookup(LookupRecord { bbox_id: id, target: name, bbox_3d }: LookupRecord, 
             rotated: (bbox_3d.len() == 9).then_some(rotated),
             cloud_points: 0,
             mean_rgb: None,
+            colours: Vec::new(),
         })
         .and_then(sound)
         .map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))

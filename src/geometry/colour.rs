@@ -211,6 +211,14 @@ impl ColourHistogram {
         Self(counts.map(|n| n as f32 / total))
     }
 
+    /// Equal shares of these names.
+    #[must_use]
+    pub fn even(names: &[ColourName]) -> Self {
+        let mut shares = [0.0; 12];
+        names.iter().for_each(|&name| shares[name as usize] += 1.0 / names.len() as f32);
+        Self(shares)
+    }
+
     #[must_use]
     pub fn share(&self, name: ColourName) -> f32 {
         self.0[name as usize]
@@ -224,11 +232,12 @@ impl ColourHistogram {
         named
     }
 
-    /// How well the word `name` describes these points, in `0..=1`: full once 60 % of them carry the name or a kin of it.
+    /// How well the word `name` describes these points, in `0..=1`: full once 60 % of them carry the name. Kin of it count less:
+    /// a brown desk may be called orange, but not where an orange one stands beside it.
     #[must_use]
     pub fn describes(&self, name: ColourName) -> f32 {
-        let kin: f32 = ColourName::ALL.into_iter().map(|other| self.share(other) * name.kinship(other)).sum();
-        (kin / 0.6).min(1.0)
+        let kin: f32 = ColourName::ALL.into_iter().filter(|other| *other != name).map(|other| self.share(other) * name.kinship(other)).sum();
+        (self.share(name) / 0.6 + kin).min(1.0)
     }
 }
 

@@ -43,13 +43,15 @@ pub struct Directions {
     pub right: Vector3<f32>,
     /// Where something stands that is "in front": towards the viewer.
     pub front: Vector3<f32>,
+    /// Seen by an observer or by somebody the words tell of, not by convention.
+    pub of_somebody: bool,
 }
 
 impl From<DirectionConvention> for Directions {
     fn from(convention: DirectionConvention) -> Self {
         match convention {
-            DirectionConvention::Paper => Self { right: -Vector3::x(), front: -Vector3::y() },
-            DirectionConvention::Viewer => Self { right: Vector3::x(), front: -Vector3::y() },
+            DirectionConvention::Paper => Self { right: -Vector3::x(), front: -Vector3::y(), of_somebody: false },
+            DirectionConvention::Viewer => Self { right: Vector3::x(), front: -Vector3::y(), of_somebody: false },
         }
     }
 }
@@ -59,13 +61,13 @@ impl Directions {
     #[must_use]
     pub fn looking_along(forward: Vector3<f32>) -> Option<Self> {
         let forward = Vector3::new(forward.x, forward.y, 0.0).try_normalize(1e-3)?;
-        Some(Self { right: forward.cross(&Vector3::z()), front: -forward })
+        Some(Self { right: forward.cross(&Vector3::z()), front: -forward, of_somebody: true })
     }
 
     #[must_use]
     pub fn of_observer(observer: &Observer) -> Self {
         let forward = Vector3::new(observer.yaw_rad.cos(), observer.yaw_rad.sin(), 0.0);
-        Self { right: forward.cross(&Vector3::z()), front: -forward }
+        Self { right: forward.cross(&Vector3::z()), front: -forward, of_somebody: true }
     }
 
     /// As seen by a person in the room who looks as the words say. Things that are longer than deep are faced squarely: a window
@@ -103,7 +105,7 @@ mod tests {
     fn somebody_looking_along_y_has_x_to_the_right() {
         let seen = Directions::looking_along(Vector3::new(0.0, 2.0, -0.5)).unwrap();
         assert!((seen.right - Vector3::x()).norm() < 1e-6 && (seen.front + Vector3::y()).norm() < 1e-6);
-        assert_eq!(seen, Directions::from(DirectionConvention::Viewer));
+        assert_eq!(seen.right, Directions::from(DirectionConvention::Viewer).right);
         let observer = Observer { position: [0.0; 3], yaw_rad: std::f32::consts::FRAC_PI_2 };
         assert!((Directions::of_observer(&observer).right - seen.right).norm() < 1e-6);
         assert_eq!(Directions::looking_along(Vector3::z()), None);

@@ -3,13 +3,17 @@
 use super::query::{Meaning, Phrase, Trait};
 use super::solid::Solid;
 use crate::geometry::colour::lab_of_srgb;
-use crate::models::attributes::{self, Lexicon, noun_fit};
+use crate::models::attributes::{self, Lexicon, Noun, noun_fit};
 use crate::scene::Instance;
 
 /// A broader word ("seat" for a sofa) fits a little less than the thing's own name.
 const BROADER_WORD: f32 = 0.9;
 /// A thing that was given a broader name than the one asked for may be meant.
 const BROADER_NAME: f32 = 0.5;
+/// Another word for the name that was given.
+const SYNONYM: f32 = 0.95;
+/// What serves a use, against what is named after it.
+const SERVES_ALIKE: f32 = 0.93;
 /// What "thing" and "one" fit.
 const ANYTHING: f32 = 0.8;
 /// A colour that is not there at all leaves this: the scan's light may be odd.
@@ -37,7 +41,7 @@ pub fn noun_fits(instances: &[Instance], phrase: &Phrase) -> Vec<f32> {
         }
         Meaning::Structure(structure) => f32::from(u8::from(instance.structure == Some(*structure))),
         Meaning::Nouns(nouns) => {
-            let fit = nouns.iter().enumerate().map(|(i, noun)| noun_fit(noun, instance) * breadth(phrase, i)).fold(0.0, f32::max);
+            let fit = nouns.iter().enumerate().map(|(i, noun)| noun_fit(noun, instance) * breadth(phrase, noun, i)).fold(0.0, f32::max);
             // A table may have a sofa's size: what another name fits better is less likely this.
             let best_name = instance.names.iter().map(|guess| guess.score).fold(fit, f32::max);
             if fit > 0.0 { fit * fit / best_name } else { 0.0 }
@@ -47,9 +51,15 @@ pub fn noun_fits(instances: &[Instance], phrase: &Phrase) -> Vec<f32> {
 }
 
 /// What the `i`-th meaning of a phrase's noun counts: its own name first, then those of which it is a broader word. Things that
-/// serve the same use serve it alike.
-fn breadth(phrase: &Phrase, i: usize) -> f32 {
-    if i == 0 || !phrase.uses.is_empty() { 1.0 } else { BROADER_WORD }
+/// serve a use serve it alike, but those named after it: tea is poured from a teapot.
+fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
+    let names = || std::iter::once(&noun.name).chain(&noun.synonyms).flat_map(|name| name.split(' '));
+    match phrase.uses.is_empty() {
+        true if i == 0 => 1.0,
+        true => BROADER_WORD,
+        false if names().any(|word| phrase.purpose.iter().any(|said| said == word)) => 1.0,
+        false => SERVES_ALIKE,
+    }
 }
 
 /// How well a name that somebody gave fits the noun asked for: the same thing in other words fits fully, a broader word a little less.
@@ -57,7 +67,8 @@ fn given_name_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
     let last = |words: &str| words.split_whitespace().next_back().map(str::to_owned);
     match (meaning, Lexicon::get().find(given)) {
         (Meaning::Nouns(asked), Some(own)) => match asked.iter().position(|noun| noun.name == own.name) {
-            Some(i) => breadth(phrase, i),
+            // The very word is meant before its synonyms.
+            Some(i) => breadth(phrase, own, i) * if i > 0 || !phrase.uses.is_empty() || given == phrase.head || own.name == phrase.head { 1.0 } else { SYNONYM },
             // "table" was given and "side table" is asked for: it may be one.
             None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => BROADER_NAME,
             None => 0.0,

@@ -7,7 +7,7 @@
 use super::direction::Directions;
 use super::query::RelationKind;
 use super::solid::Solid;
-use crate::geometry::Vector3;
+use crate::geometry::{Vector2, Vector3};
 
 /// What relations to the room itself are measured against.
 #[derive(Debug, Clone, PartialEq)]
@@ -27,6 +27,15 @@ pub fn score(kind: RelationKind, target: &Solid, anchors: &[&Solid], directions:
         (RelationKind::AgainstWall, _) => against_wall(target, room),
         (RelationKind::InCorner, _) => in_corner(target, room),
         (RelationKind::InMiddle, _) => in_middle(target, room),
+        (RelationKind::InFrontOf | RelationKind::Behind, [anchor, ..]) => {
+            let sign = if kind == RelationKind::InFrontOf { 1.0 } else { -1.0 };
+            let viewed = beside(target, anchor, &(sign * directions.front));
+            // What stands against a wall has a front of its own, unless somebody's view is asked for.
+            match own_front(anchor, room).filter(|_| !directions.of_somebody) {
+                Some(front) => beside(target, anchor, &(sign * front)).max(AGAINST_OWN_FRONT * viewed),
+                None => viewed,
+            }
+        }
         (_, [anchor, ..]) => pairwise(kind, target, anchor, directions),
         (_, []) => 0.0,
     }
@@ -39,8 +48,6 @@ fn pairwise(kind: RelationKind, target: &Solid, anchor: &Solid, directions: &Dir
         RelationKind::Around => around(target, anchor),
         RelationKind::LeftOf => beside(target, anchor, &-directions.right),
         RelationKind::RightOf => beside(target, anchor, &directions.right),
-        RelationKind::InFrontOf => beside(target, anchor, &directions.front),
-        RelationKind::Behind => beside(target, anchor, &-directions.front),
         RelationKind::Above => above(target, anchor),
         RelationKind::Below => above(anchor, target),
         RelationKind::On => on(target, anchor),
@@ -49,8 +56,27 @@ fn pairwise(kind: RelationKind, target: &Solid, anchor: &Solid, directions: &Dir
         RelationKind::Opposite => opposite(target, anchor),
         RelationKind::Facing => facing(target, anchor),
         RelationKind::Leaning => leaning(target, anchor),
-        RelationKind::AgainstWall | RelationKind::InCorner | RelationKind::InMiddle => 0.0,
+        RelationKind::InFrontOf | RelationKind::Behind | RelationKind::AgainstWall | RelationKind::InCorner | RelationKind::InMiddle => 0.0,
     }
+}
+
+/// What the convention's front counts where the thing has a front of its own.
+const AGAINST_OWN_FRONT: f32 = 0.5;
+
+/// Away from the wall a thing stands against; `None` in the open and in corners of the room.
+fn own_front(anchor: &Solid, room: &Room) -> Option<Vector3<f32>> {
+    const AT_THE_WALL_M: f32 = 0.35;
+    const NEXT_WALL_M: f32 = 0.3;
+    let gaps = side_gaps(anchor, room);
+    let nearest = (0..4).min_by(|&a, &b| gaps[a].total_cmp(&gaps[b]))?;
+    let flat = anchor.sides().0 > 2.0 * anchor.sides().1;
+    let other = (0..4).filter(|&i| i / 2 != nearest / 2).map(|i| gaps[i]).fold(f32::INFINITY, f32::min);
+    let long = if anchor.size[0] >= anchor.size[1] { anchor.axis } else { Vector2::new(-anchor.axis.y, anchor.axis.x) };
+    let axis = room_axes(room)[nearest / 2];
+    // In a corner only a long thing tells which wall it has at its back.
+    let clear = other > gaps[nearest] + NEXT_WALL_M || flat && long.dot(&axis).abs() < 0.3;
+    let inwards = if nearest % 2 == 0 { axis } else { -axis };
+    (gaps[nearest] <= AT_THE_WALL_M && clear).then(|| Vector3::new(inwards.x, inwards.y, 0.0))
 }
 
 /// 1 at zero, one half at `half`, towards 0 beyond.
@@ -90,11 +116,14 @@ fn horizontal(target: &Solid, anchor: &Solid) -> Option<Vector3<f32>> {
 #[must_use]
 pub fn above(upper: &Solid, lower: &Solid) -> f32 {
     let reach = 0.15 + 0.25 * upper.diagonal().min(lower.diagonal());
+    let over = upper.footprint_overlap(lower).max(lower.footprint_overlap(upper));
+    // Straight above; aside, a picture above a sofa, a little less.
+    let aside = ((over / 0.3).min(1.0)).max(0.7 * fade(upper.horizontal_gap(lower), reach));
     let higher = ((upper.center.z - lower.center.z) / (0.5 * (upper.size[2] + lower.size[2])).max(0.05)).clamp(0.0, 1.0);
     // Overlapping in height is not above; touching is.
     let sunk = (-upper.vertical_gap(lower)).max(0.0);
     let clear = fade(sunk - 0.1 * upper.size[2], 0.1 + 0.3 * upper.size[2]);
-    higher * clear * fade(upper.horizontal_gap(lower), reach)
+    higher * clear * aside
 }
 
 /// Resting on: over the footprint, the underside at the anchor's top, or on a board inside it (shelves); or flat against it (walls).
@@ -177,19 +206,21 @@ pub fn in_corner(target: &Solid, room: &Room) -> f32 {
 #[must_use]
 pub fn in_middle(target: &Solid, room: &Room) -> f32 {
     let aside = |axis: usize| {
-        let direction = if axis == 0 { room.outline.axis } else { crate::geometry::Vector2::new(-room.outline.axis.y, room.outline.axis.x) };
-        let offset = (target.center - room.outline.center).xy().dot(&direction).abs();
+        let offset = (target.center - room.outline.center).xy().dot(&room_axes(room)[axis]).abs();
         offset / (room.outline.size[axis] / 2.0).max(0.1)
     };
     fade(aside(0), 0.45) * fade(aside(1), 0.45)
 }
 
+fn room_axes(room: &Room) -> [Vector2<f32>; 2] {
+    [room.outline.axis, Vector2::new(-room.outline.axis.y, room.outline.axis.x)]
+}
+
 /// Gaps to the four sides of the room's outline: two along each of its axes.
 fn side_gaps(target: &Solid, room: &Room) -> [f32; 4] {
     let outline = &room.outline;
-    let axes = [outline.axis, crate::geometry::Vector2::new(-outline.axis.y, outline.axis.x)];
     let mut gaps = [0.0; 4];
-    for (i, axis) in axes.iter().enumerate() {
+    for (i, axis) in room_axes(room).iter().enumerate() {
         let along = target.corners.map(|p| (p - outline.center.xy()).dot(axis));
         let half = outline.size[i] / 2.0;
         gaps[2 * i] = along.iter().copied().fold(f32::INFINITY, f32::min) + half;
@@ -256,6 +287,20 @@ mod tests {
     }
 
     #[test]
+    fn what_stands_at_a_wall_has_its_front_to_the_room() {
+        // A bookcase at the wall at +Y: its front is -Y. One at -Y: its front is +Y, though the convention says -Y.
+        let (north, south) = (boxed([0.0, 2.3, 1.0], [0.8, 0.4, 2.0]), boxed([0.5, -2.3, 1.0], [0.8, 0.4, 2.0]));
+        let stool = cube(0.3, -1.2, 0.25, 0.4);
+        let front = |anchor: &Solid, directions: Directions| score(RelationKind::InFrontOf, &stool, &[anchor], &directions, &room());
+        let paper: Directions = DirectionConvention::Paper.into();
+        assert!(front(&north, paper) > 0.3 && front(&south, paper) > 0.5);
+        // Somebody who looks along -Y from behind it sees it the other way round.
+        let seen = Directions::looking_along(Vector3::y()).unwrap();
+        assert!(front(&south, seen) < 0.1);
+        assert!(own_front(&cube(0.0, 0.0, 0.4, 0.5), &room()).is_none() && own_front(&cube(2.7, 2.2, 0.3, 0.5), &room()).is_none());
+    }
+
+    #[test]
     fn nearer_is_nearer() {
         let anchor = cube(0.0, 0.0, 0.5, 0.5);
         let scores: Vec<f32> = (0..20_u8).map(|i| near(&cube(0.5 + f32::from(i) * 0.2, 0.0, 0.5, 0.5), &anchor)).collect();
@@ -271,7 +316,7 @@ mod tests {
             let directions: Directions = DirectionConvention::Viewer.into();
             let turned_room = Room { outline: turned(&room.outline, by), walls: room.walls.iter().map(|w| turned(w, by)).collect() };
             let turn = nalgebra::Rotation3::from_axis_angle(&Vector3::z_axis(), by);
-            let turned_directions = Directions { right: turn * directions.right, front: turn * directions.front };
+            let turned_directions = Directions { right: turn * directions.right, front: turn * directions.front, of_somebody: false };
             let (ta, tb, tc) = (turned(&a, by), turned(&b, by), turned(&c, by));
             for kind in RelationKind::ALL {
                 let s = score(kind, &a, &[&b, &c], &directions, &room);
@@ -285,7 +330,7 @@ mod tests {
         fn opposites_mirror_each_other(a in any_solid(), b in any_solid()) {
             let directions: Directions = DirectionConvention::Viewer.into();
             let of = |kind: RelationKind, x: &Solid, y: &Solid| score(kind, x, &[y], &directions, &room());
-            for kind in [RelationKind::LeftOf, RelationKind::InFrontOf, RelationKind::Above] {
+            for kind in [RelationKind::LeftOf, RelationKind::Above] {
                 prop_assert!((of(kind, &a, &b) - of(kind.inverse(), &b, &a)).abs() < 1e-5, "{kind:?}");
             }
             prop_assert!((near(&a, &b) - near(&b, &a)).abs() < 1e-4);

@@ -16,8 +16,8 @@ pub enum Names {
     Encoder,
 }
 
-/// Instances with annotated boxes, in the order of the annotations. Colours are those of the points that belong to each object in
-/// `cloud`; where it has none, the annotated mean colour.
+/// Instances with annotated boxes, in the order of the annotations. With annotated names come annotated colours; else, and where none
+/// are, colours are those of the points that belong to each object in `cloud`, or the annotated mean colour where it has no points.
 #[must_use]
 pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: Names) -> Vec<Instance> {
     let objects = &annotations.objects;
@@ -53,7 +53,13 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: Names)
             oriented_box,
             point_count: seen.len() as u32,
             mean_rgb,
-            colours: if seen.is_empty() { ColourHistogram::of([mean_rgb]) } else { ColourHistogram::of(seen.iter().copied()) },
+            colours: if names == Names::Annotated && !object.colours.is_empty() {
+                ColourHistogram::even(&object.colours)
+            } else if seen.is_empty() {
+                ColourHistogram::of([mean_rgb])
+            } else {
+                ColourHistogram::of(seen.iter().copied())
+            },
             planarity: 0.0,
             structure: structures[i],
             support: supports[i],

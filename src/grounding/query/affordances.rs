@@ -13,6 +13,8 @@ use std::sync::LazyLock;
 pub(super) struct Affordance {
     /// Uses of the lexicon, alike in how well they fit the words.
     pub uses: Vec<String>,
+    /// The clause's words: "pour wine from" is said of wine bottles before teapots.
+    pub words: Vec<String>,
     /// How many tokens say so; the rest of the query follows.
     pub taken: usize,
 }
@@ -93,7 +95,8 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     found.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
     let best = found.first()?.0;
     let uses = found.into_iter().take_while(|(fit, _)| *fit == best).map(|(_, spoken)| spoken.to_owned()).collect();
-    Some(Affordance { uses, taken: end })
+    let words = clause.iter().filter(|word| !PARTICLES.contains(word)).map(|word| (*word).to_owned()).collect();
+    Some(Affordance { uses, words, taken: end })
 }
 
 fn begins(words: &[&str], opener: &str) -> Option<usize> {

@@ -156,6 +156,7 @@ impl Reader {
             let phrase = &mut reader.stack[0].phrase;
             "something".clone_into(&mut phrase.head);
             phrase.uses.clone_from(&found.uses);
+            phrase.purpose.clone_from(&found.words);
         }
         reader
     }
@@ -173,7 +174,15 @@ impl Reader {
         if let Some(rank) = self.ordinal.take() {
             self.query.not_understood.push(format!("number {rank}"));
         }
-        self.query.target = self.target.unwrap_or_default();
+        let mut target = self.target.unwrap_or_default();
+        // "facing the desk with two monitors, the monitor on the left": one of those two.
+        if let Some(viewpoint) = &self.query.viewpoint
+            && viewpoint.anchor.with.iter().any(|with| same_thing(&with.phrase, &target))
+        {
+            let anchors = vec![viewpoint.anchor.clone()];
+            target.relations.push(Relation { kind: RelationKind::Near, text: "at".into(), anchors, negated: false, rank: 1 });
+        }
+        self.query.target = target;
         self.query
     }
 

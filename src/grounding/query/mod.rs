@@ -47,6 +47,8 @@ pub struct Phrase {
     pub head: String,
     /// What it is for: "something to sit on". Words of the lexicon.
     pub uses: Vec<String>,
+    /// The words the use was said in: "wine" of "something to pour wine from".
+    pub purpose: Vec<String>,
     pub colours: Vec<ColourName>,
     /// Colours it must not have: "not red".
     pub other_than: Vec<ColourName>,
