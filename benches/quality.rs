@@ -8,8 +8,12 @@
 use camino::{Utf8Path, Utf8PathBuf};
 use comfy_table::{Table, presets};
 use uniground::evaluation::annotated::Room;
+use uniground::evaluation::annotations::{Annotations, SceneObject};
 use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_superpoints};
+use uniground::evaluation::systems::{Names, instances_of};
+use uniground::models::attributes::Lexicon;
 use uniground::progress::Progress;
+use uniground::scene::Instance;
 use uniground::scene_parsing::checkpoints::Checkpoints;
 use uniground::scene_parsing::masks::MaskSource;
 use uniground::scene_parsing::masks::rgbd::RgbdMasks;
@@ -51,6 +55,7 @@ fn main() {
     let mut superpoint_table = table(&["room", "points", "superpoints", "purity", "achievable mIoU"]);
     let mut instance_table =
         table(&["room", "masks", "turned", "instances", "box .25", "box .5", "points .25", "points .5", "AP50", "seconds"]);
+    let mut naming_table = table(&["room", "boxes: first name", "in five", "instances: first name", "in five"]);
     for name in ["room1", "room2"] {
         let temporary = tempfile::tempdir().unwrap();
         let room = Room::load(&folder, name, Utf8Path::from_path(temporary.path()).unwrap()).unwrap();
@@ -64,15 +69,36 @@ fn main() {
             format!("{:.3}", score.achievable_iou),
         ]);
         let rgbd = RgbdMasks { settings: settings.rgbd_masks };
-        let runs: Vec<_> = TURNS_DEG.iter().map(|&deg| measure(&room.turned(deg), &rgbd, &settings, false)).collect();
+        let turns: &[f32] = if std::env::var_os("QUICK").is_some() { &TURNS_DEG[..1] } else { &TURNS_DEG };
+        let runs: Vec<_> = turns.iter().map(|&deg| measure(&room.turned(deg), &rgbd, &settings, false)).collect();
         let (as_is, seconds) = measure(&room, &rgbd, &settings, misses);
         instance_table.add_row(row(name, rgbd.name(), "as is", &as_is, seconds));
         instance_table.add_row(mean_and_range(name, rgbd.name(), &runs));
+        naming_table.add_row(naming(&folder, &room, name, &settings));
         let annotated = room.masks();
         let (score, seconds) = measure(&room, &annotated, &settings, misses);
         instance_table.add_row(row(name, annotated.name(), "as is", &score, seconds));
     }
-    println!("{superpoint_table}\n\n{instance_table}");
+    println!("{superpoint_table}\n\n{instance_table}\n\n{naming_table}");
+}
+
+/// Share of objects whose annotated name is the first, or among the kept, of the names the encoder gives: on their annotated boxes,
+/// and on the instances that cover them at least half.
+fn naming(folder: &Utf8Path, room: &Room, name: &str, settings: &ParsingSettings) -> Vec<String> {
+    let (annotations, _) = Annotations::read(&Annotations::file_of(folder, name).unwrap());
+    let rgbd = RgbdMasks { settings: settings.rgbd_masks };
+    let parsed = scene_parsing::parse(room.bundle.clone(), &rgbd, settings, &Checkpoints::none(), &Progress::silent()).unwrap();
+    let known = |name: &str| Lexicon::get().find(name).map(|noun| noun.name.clone());
+    let objects = || annotations.objects.iter().filter(|o| o.structure().is_none() && known(&o.name).is_some());
+    let boxed = instances_of(&annotations, &room.bundle.cloud, Names::Encoder);
+    let covering = |object: &SceneObject| parsed.instances.iter().max_by(|a, b| a.aabb.iou(&object.aabb).total_cmp(&b.aabb.iou(&object.aabb)));
+    let on_boxes: Vec<_> = objects().map(|o| (o, boxed.iter().find(|i| i.aabb == o.aabb).unwrap())).collect();
+    let on_parsed: Vec<_> = objects().map(|o| (o, covering(o).unwrap())).filter(|(o, i)| i.aabb.iou(&o.aabb) >= 0.5).collect();
+    let share = |pairs: &[(&SceneObject, &Instance)], kept: usize| {
+        let named = |(o, i): &&(&SceneObject, &Instance)| i.names.iter().take(kept).any(|guess| Some(&guess.name) == known(&o.name).as_ref());
+        format!("{:.2} of {}", pairs.iter().filter(named).count() as f32 / pairs.len() as f32, pairs.len())
+    };
+    vec![name.to_owned(), share(&on_boxes, 1), share(&on_boxes, 5), share(&on_parsed, 1), share(&on_parsed, 5)]
 }
 
 fn table(header: &[&str]) -> Table {

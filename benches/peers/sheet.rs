@@ -20,9 +20,9 @@ pub fn written(input: &str, load: &str, versions: &[Option<String>], outcomes: &
     let date = jiff::Timestamp::now().strftime("%Y-%m-%d");
     format!(
         "# Beside other people's code\n\n\
-         Written by `make bench-peers` on {date}, {machine}, load {load} before. Input: {input}. Medians of {ROUNDS} rounds after a \
-         warm-up, ours and the peer's in turns, each run after a short silence so that threads of the last do not spin into it. Each side times \
-         itself, from data in memory to result in memory unless a file is read. Absolute times differ \
+         Written by `make bench-peers` on {date}, {machine}, load {load} before. Input: {input}. Medians of {ROUNDS} rounds \
+         after a warm-up, ours and the peer's in turns, each run after a short silence so that threads of the last do not spin \
+         into it. Each side times itself, from data in memory to result in memory unless a file is read. Absolute times differ \
          from machine to machine; compare the ratios.\n\n\
          {versions}\n{table}\n\n\
          How the two sides differ:\n\n{notes}",

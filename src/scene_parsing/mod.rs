@@ -29,7 +29,6 @@ use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle, stream_fra
 use checkpoints::Checkpoints;
 use lifting::Lifting;
 use masks::MaskSource;
-use rayon::prelude::*;
 pub use settings::ParsingSettings;
 pub use stopwatch::{Outcome, Stopwatch};
 
@@ -109,7 +108,7 @@ pub fn parse(
         Ok::<_, ParseError>(sightings)
     })?;
     views::choose(&mut instances, sightings, &frames, &settings.views);
-    instances.par_iter_mut().for_each(|instance| instance.names = attributes::name_guesses(instance));
+    attributes::name_all(&mut instances);
 
     let mut warnings = Vec::new();
     if frames.is_empty() {

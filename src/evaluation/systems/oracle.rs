@@ -3,11 +3,11 @@
 use crate::evaluation::annotations::{Annotations, SceneObject};
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::colour::ColourHistogram;
+use crate::geometry::{Point3, Vector3};
 use crate::models::attributes;
 use crate::progress::Progress;
 use crate::scene::{Instance, InstanceId, NameGuess, PointCloud, Structure, Support};
-use crate::scene_parsing::instances::supports;
-use nalgebra::Vector3;
+use crate::scene_parsing::instances::{planarity, supports};
 
 /// Who names annotated instances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -16,6 +16,9 @@ pub enum Names {
     Encoder,
 }
 
+/// Of an object without points: says neither flat nor rough.
+const UNKNOWN_PLANARITY: f32 = 0.4;
+
 /// Instances with annotated boxes, in the order of the annotations. With annotated names come annotated colours; else, and where none
 /// are, colours are those of the points that belong to each object in `cloud`, or the annotated mean colour where it has no points.
 #[must_use]
@@ -23,9 +26,11 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: Names)
     let objects = &annotations.objects;
     let label_of_point = annotations.label(cloud);
     let mut colours: Vec<Vec<[u8; 3]>> = vec![Vec::new(); objects.len()];
-    for (&label, &colour) in label_of_point.iter().zip(&cloud.colours) {
-        if let Ok(i) = objects.binary_search_by_key(&label, |o| o.id) {
-            colours[i].push(colour);
+    let mut points: Vec<Vec<Point3<f32>>> = vec![Vec::new(); objects.len()];
+    for (i, label) in label_of_point.iter().enumerate() {
+        if let Ok(object) = objects.binary_search_by_key(label, |o| o.id) {
+            colours[object].push(cloud.colours[i]);
+            points[object].push(cloud.positions[i]);
         }
     }
     let structures: Vec<Option<Structure>> = objects.iter().map(SceneObject::structure).collect();
@@ -60,7 +65,7 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: Names)
             } else {
                 ColourHistogram::of(seen.iter().copied())
             },
-            planarity: 0.0,
+            planarity: if seen.is_empty() { UNKNOWN_PLANARITY } else { planarity(&points[i]) },
             structure: structures[i],
             support: supports[i],
             height_above_floor_m: object.aabb.min().z - floor_z,
@@ -68,13 +73,16 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: Names)
             names: Vec::new(),
             given_name: None,
         };
-        match names {
-            Names::Annotated => give_name(&mut instance, &object.name),
-            Names::Encoder => instance.names = attributes::name_guesses(&instance),
+        if names == Names::Annotated {
+            give_name(&mut instance, &object.name);
         }
         instance
     };
-    objects.iter().enumerate().map(build).collect()
+    let mut instances: Vec<Instance> = objects.iter().enumerate().map(build).collect();
+    if names == Names::Encoder {
+        attributes::name_all(&mut instances);
+    }
+    instances
 }
 
 /// Names an instance, in the lexicon's word where it has one.

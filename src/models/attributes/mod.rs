@@ -8,6 +8,7 @@ mod lexicon;
 
 use crate::geometry::colour::ColourName;
 use crate::scene::{Instance, NameGuess, Structure, Support};
+use rayon::prelude::*;
 pub use lexicon::{Lexicon, Noun, Place, Range, Shape};
 
 /// Name and version, recorded with parses and answers.
@@ -23,6 +24,14 @@ const SIZE_TOLERANCE: f32 = 0.2;
 const BASE_TOLERANCE_M: f32 = 0.12;
 /// The middle of a range is more usual than its ends: weight of that, against one tolerance outside the range.
 const OFF_CENTER_WEIGHT: f32 = 0.1;
+/// Factor for a surface the noun's shape does not have.
+const ODD_SHAPE: f32 = 0.5;
+/// Share of green points under which nothing is taken for foliage.
+const LEAST_GREEN: f32 = 0.05;
+/// From this thickness on a surface tells of its shape, metres.
+const THICK_M: f32 = 0.1;
+/// Factor for a thing on another that it is not known to stand on.
+const ODD_PLACE: f32 = 0.8;
 /// Factor for a support the noun is not known for.
 const ODD_SUPPORT: f32 = 0.6;
 
@@ -47,7 +56,23 @@ pub fn noun_fit(noun: &Noun, instance: &Instance) -> f32 {
         .sum();
     let misfit = misfit + OFF_CENTER_WEIGHT * off_center;
     let support = if noun.stands_on(place_of(instance)) { 1.0 } else { ODD_SUPPORT };
-    (-0.5 * misfit).exp() * support
+    (-0.5 * misfit).exp() * support * shape_fit(noun.shape, instance)
+}
+
+/// How well the surface agrees with a shape, as far as the share of points on one plane tells.
+fn shape_fit(shape: Shape, instance: &Instance) -> f32 {
+    let size = instance.oriented_box.size;
+    // Everything within a few centimetres is on one plane.
+    if size.min() < THICK_M {
+        return 1.0;
+    }
+    let ramp = |from: f32, to: f32| ODD_SHAPE + (1.0 - ODD_SHAPE) * ((instance.planarity - from) / (to - from)).clamp(0.0, 1.0);
+    match shape {
+        Shape::Flat => ramp(0.2, 0.6),
+        // Foliage is rough, and green.
+        Shape::Bushy => ramp(0.6, 0.3) * if instance.colours.share(ColourName::Green) < LEAST_GREEN { ODD_SHAPE } else { 1.0 },
+        Shape::Boxy | Shape::Open | Shape::Round | Shape::Soft => 1.0,
+    }
 }
 
 /// How well a colour word describes an instance, `0..=1`.
@@ -56,19 +81,41 @@ pub fn colour_fit(colour: ColourName, instance: &Instance) -> f32 {
     instance.colours.describes(colour)
 }
 
+/// Names every instance, in two rounds: what things stand on tells what they are, a keyboard on a desk.
+pub fn name_all(instances: &mut [Instance]) {
+    let alone: Vec<Vec<NameGuess>> = instances.par_iter().map(name_guesses).collect();
+    let placed: Vec<Vec<NameGuess>> = instances
+        .par_iter()
+        .map(|instance| match instance.support {
+            Support::Instance { id } => guesses(instance, alone.get(id.0 as usize - 1).map_or(&[], Vec::as_slice)),
+            _ => alone[instance.id.0 as usize - 1].clone(),
+        })
+        .collect();
+    instances.iter_mut().zip(placed).for_each(|(instance, names)| instance.names = names);
+}
+
 /// The best names for an instance, without having heard a question; empty for structure and for shapes nothing fits.
 ///
 /// Scores are fits weighed by how usual the thing is. Of nouns that fit alike the one with the narrower ranges comes first:
 /// it says more.
 #[must_use]
 pub fn name_guesses(instance: &Instance) -> Vec<NameGuess> {
+    guesses(instance, &[])
+}
+
+/// The same for something that stands on a thing with these names; nothing is known of the place when there are none.
+fn guesses(instance: &Instance, below: &[NameGuess]) -> Vec<NameGuess> {
+    let place = |noun: &Noun| match below.is_empty() || noun.usually_on.iter().any(|on| below.iter().any(|guess| guess.name == *on)) {
+        true => 1.0,
+        false => ODD_PLACE,
+    };
     if instance.structure.is_some() {
         return Vec::new();
     }
     let mut scored: Vec<(f32, &Noun)> = Lexicon::get()
         .nouns()
         .iter()
-        .map(|noun| (noun_fit(noun, instance) * noun.prior, noun))
+        .map(|noun| (noun_fit(noun, instance) * noun.prior * place(noun), noun))
         .filter(|(fit, _)| *fit >= MIN_NAME_SCORE)
         .collect();
     scored.sort_by(|a, b| (b.0 * b.1.specificity()).total_cmp(&(a.0 * a.1.specificity())).then(a.1.name.cmp(&b.1.name)));

@@ -166,6 +166,12 @@ impl Shape {
 /// Points this close to the best plane count as on it, metres.
 const ON_PLANE_M: f32 = 0.03;
 
+/// Share of the points within 3 cm of their best plane.
+#[must_use]
+pub fn planarity(positions: &[Point3<f32>]) -> f32 {
+    plane(positions).2
+}
+
 /// Normal and middle of the best plane, and the share of points on it.
 fn plane(positions: &[Point3<f32>]) -> (Vector3<f32>, Point3<f32>, f32) {
     let Moments { mean, covariance } = Moments::of(positions);
