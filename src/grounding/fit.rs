@@ -42,12 +42,20 @@ pub fn noun_fits(instances: &[Instance], phrase: &Phrase) -> Vec<f32> {
         Meaning::Structure(structure) => f32::from(u8::from(instance.structure == Some(*structure))),
         Meaning::Nouns(nouns) => {
             let fit = nouns.iter().enumerate().map(|(i, noun)| noun_fit(noun, instance) * breadth(phrase, noun, i)).fold(0.0, f32::max);
-            // A table may have a sofa's size: what another name fits better is less likely this.
-            let best_name = instance.names.iter().map(|guess| guess.score).fold(fit, f32::max);
-            if fit > 0.0 { fit * fit / best_name } else { 0.0 }
+            fit * among_names(fit, nouns, instance).sqrt()
         }
     };
     instances.iter().map(fit).collect()
+}
+
+/// How likely an instance is one of `nouns` rather than what its other names say: a table may have a sofa's size.
+fn among_names(fit: f32, nouns: &[&Noun], instance: &Instance) -> f32 {
+    let (mut own, mut others) = (0.0, 0.0);
+    for guess in &instance.names {
+        if nouns.iter().any(|noun| noun.name == guess.name) { own += guess.score } else { others += guess.score }
+    }
+    let own = fit.max(own);
+    if own > 0.0 { own / (own + others) } else { 0.0 }
 }
 
 /// What the `i`-th meaning of a phrase's noun counts: its own name first, then those of which it is a broader word. Things that
