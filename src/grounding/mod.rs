@@ -17,7 +17,7 @@ pub use answer::{Alternative, Grounding, ParsedQuerySummary, SixFields, Status, 
 use assess::Looked;
 use direction::{DirectionConvention, Directions, Observer};
 pub use shortlist::Candidate;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use crate::geometry::boxes::Aabb;
 use crate::scene::Instance;
@@ -51,20 +51,26 @@ pub fn shortlist(scene: SceneView, query: &str, top_k: usize) -> (query::ParsedQ
     (parsed, candidates)
 }
 
-/// Answers a question.
+/// Answers a question, read by the built-in grammar.
 #[must_use]
 pub fn ground(scene: SceneView, question: &Question) -> Grounding {
     let start = Instant::now();
-    let mut parsed = query::parse(&question.query);
+    let parsed = query::parse(&question.query);
+    ground_read(scene, question, parsed, start.elapsed())
+}
+
+/// Answers a question that somebody has read, which took `reading`.
+#[must_use]
+pub fn ground_read(scene: SceneView, question: &Question, mut parsed: query::ParsedQuery, reading: Duration) -> Grounding {
+    let start = Instant::now();
     if let Some(name) = &question.target_name {
         parsed.target.head.clone_from(name);
     }
-    let parse_query = start.elapsed();
     let directions = question.observer.as_ref().map_or_else(|| question.convention.into(), Directions::of_observer);
     let mut looked = Looked::at(scene, directions);
     let prepared = start.elapsed();
     let verdict = reasoner::builtin::decide(&mut looked, &parsed);
     let total = start.elapsed();
-    let timings_ms = Timings::from_marks(parse_query, prepared, total);
+    let timings_ms = Timings::from_marks(reading, reading + prepared, reading + total);
     answer::assemble(scene, question, &parsed, verdict, timings_ms)
 }

@@ -1,16 +1,20 @@
 //! Questions in plain words to a [`ParsedQuery`]: target, attributes, anchors, relations (METHOD section 3).
 //!
-//! Built in: a tokeniser that knows the lexicon and a grammar of noun phrases joined by relation words. English only.
+//! Built in: a tokeniser that knows the lexicon and a grammar of noun phrases joined by relation words. English only. A chat model
+//! may read instead ([`VlmParser`]): one call, checked, with the grammar to fall back on.
 
 mod affordances;
 mod grammar;
+mod parsers;
 mod tokens;
+mod vlm;
 mod words;
 
 use crate::geometry::colour::ColourName;
 use crate::models::attributes::{Lexicon, Noun};
 use crate::scene::Structure;
 pub use grammar::parse;
+pub use parsers::{BuiltinParser, QueryParser, Reading, VlmParser};
 
 /// A query, understood as far as the words go. Every word is used, is filler, or is listed in `not_understood`.
 #[derive(Debug, Clone, Default, PartialEq)]
@@ -138,6 +142,19 @@ pub enum Trait {
 }
 
 impl Trait {
+    pub const ALL: [Self; 10] = [
+        Self::Large,
+        Self::Small,
+        Self::Tall,
+        Self::Low,
+        Self::Long,
+        Self::Light,
+        Self::Dark,
+        Self::Round,
+        Self::Square,
+        Self::Rectangular,
+    ];
+
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {
@@ -272,6 +289,20 @@ pub enum Measure {
 }
 
 impl Measure {
+    pub const ALL: [Self; 11] = [
+        Self::Largest,
+        Self::Smallest,
+        Self::Tallest,
+        Self::Shortest,
+        Self::Highest,
+        Self::Lowest,
+        Self::Leftmost,
+        Self::Rightmost,
+        Self::Frontmost,
+        Self::Backmost,
+        Self::Middle,
+    ];
+
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {

@@ -1,0 +1,71 @@
+//! Who reads queries: the built-in grammar, or a vision-language model.
+
+use super::{ParsedQuery, parse, vlm};
+use crate::models::chat::{ChatClient, ChatReply};
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use std::sync::Arc;
+
+/// A query, read.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Reading {
+    pub parsed: ParsedQuery,
+    /// The calls it took.
+    pub calls: Vec<ChatReply>,
+    /// Of those calls, US dollars.
+    pub cost_usd: f64,
+    /// Why the built-in grammar had to step in, if so.
+    pub fell_back: Option<String>,
+}
+
+/// Reads queries. Never fails: what a model can not read the grammar does.
+pub trait QueryParser: Send + Sync {
+    /// Name and version, recorded with answers.
+    fn name(&self) -> String;
+
+    fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading>;
+}
+
+/// The grammar and lexicon.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct BuiltinParser;
+
+impl QueryParser for BuiltinParser {
+    fn name(&self) -> String {
+        "builtin-2".into()
+    }
+
+    fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading> {
+        std::future::ready(Reading { parsed: parse(query), ..Reading::default() }).boxed()
+    }
+}
+
+/// One call to a chat model, validated; the grammar where that fails.
+#[derive(Clone)]
+pub struct VlmParser {
+    pub client: Arc<ChatClient>,
+}
+
+impl QueryParser for VlmParser {
+    fn name(&self) -> String {
+        format!("{} (prompt {})", self.client.model(), vlm::PROMPT_VERSION)
+    }
+
+    fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading> {
+        async move {
+            let (calls, read) = match self.client.ask(&vlm::request(query)).await {
+                Ok(reply) => {
+                    let read = vlm::decode(&reply.text);
+                    (vec![reply], read)
+                }
+                Err(error) => (Vec::new(), Err(error.to_string())),
+            };
+            let cost_usd = calls.iter().map(|c| self.client.cost_usd(c.prompt_tokens, c.completion_tokens)).fold(0.0, |sum, c| sum + c);
+            match read {
+                Ok(parsed) => Reading { parsed, calls, cost_usd, fell_back: None },
+                Err(why) => Reading { parsed: parse(query), calls, cost_usd, fell_back: Some(why) },
+            }
+        }
+        .boxed()
+    }
+}

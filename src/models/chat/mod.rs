@@ -1,0 +1,246 @@
+//! Vision-language models behind any OpenAI-compatible chat endpoint (METHOD section 4, "Calls").
+
+mod tape;
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use reqwest::header::RETRY_AFTER;
+use reqwest::{Response, StatusCode};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use sha2::{Digest, Sha256};
+use std::time::{Duration, Instant};
+pub use tape::Tape;
+use tokio::time::sleep;
+
+/// Where a model is asked, and what it costs.
+#[derive(Clone)]
+pub struct Endpoint {
+    /// Like `https://host/v1`; `/chat/completions` is added.
+    pub base_url: String,
+    pub model: String,
+    /// Never logged, never put on tape.
+    pub api_key: Option<String>,
+    pub prices: Prices,
+}
+
+impl std::fmt::Debug for Endpoint {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Endpoint").field("base_url", &self.base_url).field("model", &self.model).finish_non_exhaustive()
+    }
+}
+
+/// US dollars per million tokens.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Prices {
+    pub prompt_usd: f64,
+    pub completion_usd: f64,
+}
+
+/// How patiently a model is asked. Defaults are the paper's.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Patience {
+    pub timeout: Duration,
+    pub attempts: u32,
+    /// The wait before the second attempt; it doubles from one to the next.
+    pub backoff: Duration,
+    /// No wait is longer, whatever the server asks for.
+    pub longest_wait: Duration,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        Self { timeout: Duration::from_mins(5), attempts: 5, backoff: Duration::from_secs(1), longest_wait: Duration::from_mins(1) }
+    }
+}
+
+/// One question to a model. Temperature and token limits are left unset, as in the paper.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ChatRequest {
+    pub system: String,
+    pub user: Vec<Part>,
+    /// A JSON schema the answer should follow; servers that refuse it are asked without.
+    pub schema: Option<(&'static str, Value)>,
+}
+
+#[derive(Debug, Clone, PartialEq)]
+pub enum Part {
+    Text(String),
+    Jpeg(Vec<u8>),
+}
+
+/// What the model said, and what it took.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct ChatReply {
+    pub text: String,
+    pub prompt_tokens: u64,
+    pub completion_tokens: u64,
+    pub attempts: u32,
+    pub latency_ms: f64,
+}
+
+#[derive(Debug, thiserror::Error)]
+pub enum ChatError {
+    #[error("the model's server said {status}: {detail}")]
+    Refused { status: StatusCode, detail: String },
+    #[error("the model's server can not be reached, or took too long")]
+    Transport(#[from] reqwest::Error),
+    #[error("the model's server answered something that is no chat completion: {0}")]
+    Undecodable(String),
+    #[error("the tape has no answer to this question of {0}")]
+    NotOnTape(String),
+    #[error("the tape can not be written")]
+    Tape(#[from] std::io::Error),
+}
+
+/// A model and how to ask it.
+pub struct ChatClient {
+    http: reqwest::Client,
+    endpoint: Endpoint,
+    patience: Patience,
+    tape: Tape,
+}
+
+#[derive(Deserialize)]
+struct Completion {
+    choices: Vec<Choice>,
+    #[serde(default)]
+    usage: Usage,
+}
+
+#[derive(Deserialize)]
+struct Choice {
+    message: Message,
+}
+
+#[derive(Deserialize)]
+struct Message {
+    content: Option<String>,
+}
+
+#[derive(Default, Deserialize)]
+struct Usage {
+    #[serde(default)]
+    prompt_tokens: u64,
+    #[serde(default)]
+    completion_tokens: u64,
+}
+
+impl ChatClient {
+    #[must_use]
+    pub fn new(endpoint: Endpoint, patience: Patience, tape: Tape) -> Self {
+        Self { http: reqwest::Client::new(), endpoint, patience, tape }
+    }
+
+    #[must_use]
+    pub fn model(&self) -> &str {
+        &self.endpoint.model
+    }
+
+    /// What tokens cost, US dollars.
+    #[must_use]
+    pub fn cost_usd(&self, prompt_tokens: u64, completion_tokens: u64) -> f64 {
+        let Prices { prompt_usd, completion_usd } = self.endpoint.prices;
+        (prompt_tokens as f64 * prompt_usd + completion_tokens as f64 * completion_usd) / 1e6
+    }
+
+    /// Asks, with patience; from the tape where it has the answer.
+    ///
+    /// # Errors
+    /// [`ChatError`] once every attempt failed, or at once where another would fail alike.
+    pub async fn ask(&self, request: &ChatRequest) -> Result<ChatReply, ChatError> {
+        let body = self.body(request, request.schema.is_some());
+        let key: String = Sha256::digest(body.to_string()).iter().map(|byte| format!("{byte:02x}")).collect();
+        if let Some(reply) = self.tape.reply(&key) {
+            return Ok(reply);
+        }
+        if self.tape.is_replay() {
+            return Err(ChatError::NotOnTape(self.endpoint.model.clone()));
+        }
+        let reply = self.ask_live(request, body).await?;
+        self.tape.record_reply(&key, &self.endpoint.model, &reply)?;
+        Ok(reply)
+    }
+
+    async fn ask_live(&self, request: &ChatRequest, mut body: Value) -> Result<ChatReply, ChatError> {
+        let start = Instant::now();
+        let mut attempts = 0;
+        loop {
+            attempts += 1;
+            let (error, wait) = match self.send(&body).await {
+                Ok(Completion { choices, usage }) => {
+                    let text = choices.into_iter().next().and_then(|choice| choice.message.content);
+                    let text = text.ok_or_else(|| ChatError::Undecodable("there is no choice with text".into()))?;
+                    let Usage { prompt_tokens, completion_tokens } = usage;
+                    let latency_ms = start.elapsed().as_secs_f64() * 1e3;
+                    return Ok(ChatReply { text, prompt_tokens, completion_tokens, attempts, latency_ms });
+                }
+                Err(failure) => failure,
+            };
+            // A server that knows no schemas is asked without one.
+            let refuses_schema = matches!(&error, ChatError::Refused { status, .. } if matches!(status.as_u16(), 400 | 404 | 422 | 501));
+            if refuses_schema && body.get("response_format").is_some() {
+                body = self.body(request, false);
+                continue;
+            }
+            let Some(asked_for) = wait.filter(|_| attempts < self.patience.attempts) else { return Err(error) };
+            // Jitter from the clock spreads callers that failed together; nothing that is kept depends on it.
+            let jitter = f64::from(start.elapsed().subsec_nanos() % 1000) / 1000.0;
+            let backoff = self.patience.backoff.mul_f64(f64::from(1_u32 << (attempts - 1).min(16)) * (1.0 + 0.25 * jitter));
+            sleep(asked_for.unwrap_or(backoff).min(self.patience.longest_wait)).await;
+        }
+    }
+
+    /// One attempt. A failure says whether another may help, and after how long if the server told.
+    async fn send(&self, body: &Value) -> Result<Completion, (ChatError, Option<Option<Duration>>)> {
+        let url = format!("{}/chat/completions", self.endpoint.base_url.trim_end_matches('/'));
+        let mut request = self.http.post(url).timeout(self.patience.timeout).json(body);
+        if let Some(key) = &self.endpoint.api_key {
+            request = request.bearer_auth(key);
+        }
+        let transport = |error: reqwest::Error| (ChatError::Transport(error.without_url()), Some(None));
+        let response = request.send().await.map_err(transport)?;
+        let (status, wait) = (response.status(), retry_after(&response));
+        let text = response.text().await.map_err(transport)?;
+        if !status.is_success() {
+            let again = matches!(status.as_u16(), 408 | 409 | 429) || status.is_server_error();
+            return Err((ChatError::Refused { status, detail: detail(&text) }, again.then_some(wait)));
+        }
+        serde_json::from_str(&text).map_err(|error| (ChatError::Undecodable(error.to_string()), Some(None)))
+    }
+
+    fn body(&self, request: &ChatRequest, with_schema: bool) -> Value {
+        let part = |part: &Part| match part {
+            Part::Text(text) => json!({"type": "text", "text": text}),
+            Part::Jpeg(bytes) => {
+                json!({"type": "image_url", "image_url": {"url": format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes))}})
+            }
+        };
+        let user = match request.user.as_slice() {
+            [Part::Text(text)] => json!(text),
+            parts => parts.iter().map(part).collect(),
+        };
+        let mut body = json!({
+            "model": self.endpoint.model,
+            "messages": [{"role": "system", "content": request.system}, {"role": "user", "content": user}],
+        });
+        if let Some((name, schema)) = request.schema.as_ref().filter(|_| with_schema) {
+            body["response_format"] = json!({"type": "json_schema", "json_schema": {"name": name, "schema": schema}});
+        }
+        body
+    }
+}
+
+/// What a server asks to wait, in seconds; dates are not understood.
+fn retry_after(response: &Response) -> Option<Duration> {
+    response.headers().get(RETRY_AFTER)?.to_str().ok()?.trim().parse().ok().map(Duration::from_secs)
+}
+
+/// The reason within an error body, short.
+fn detail(body: &str) -> String {
+    const MAX_CHARS: usize = 300;
+    let parsed: Option<Value> = serde_json::from_str(body).ok();
+    let message = parsed.as_ref().and_then(|v| v.pointer("/error/message").or_else(|| v.get("message")).or_else(|| v.get("detail")));
+    let text = message.and_then(Value::as_str).unwrap_or(body);
+    text.chars().take(MAX_CHARS).collect()
+}
