@@ -53,7 +53,8 @@ fn pipelines(c: &mut Criterion) {
 
     let mut group = c.benchmark_group("stage 2, sample scene");
     let scene = SceneView { instances: &parsed.instances, extent: parsed.extent };
-    let question = |query: &str| Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };
+    let question =
+        |query: &str| Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };
     for query in ["the orange stool", "the bookcase between the red sofa and the desk"] {
         let question = question(query);
         group.bench_function(query, |b| b.iter(|| ground(scene, black_box(&question))));

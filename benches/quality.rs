@@ -91,11 +91,13 @@ fn naming(folder: &Utf8Path, room: &Room, name: &str, settings: &ParsingSettings
     let known = |name: &str| Lexicon::get().find(name).map(|noun| noun.name.clone());
     let objects = || annotations.objects.iter().filter(|o| o.structure().is_none() && known(&o.name).is_some());
     let boxed = instances_of(&annotations, &room.bundle.cloud, Names::Encoder);
-    let covering = |object: &SceneObject| parsed.instances.iter().max_by(|a, b| a.aabb.iou(&object.aabb).total_cmp(&b.aabb.iou(&object.aabb)));
+    let covering =
+        |object: &SceneObject| parsed.instances.iter().max_by(|a, b| a.aabb.iou(&object.aabb).total_cmp(&b.aabb.iou(&object.aabb)));
     let on_boxes: Vec<_> = objects().map(|o| (o, boxed.iter().find(|i| i.aabb == o.aabb).unwrap())).collect();
     let on_parsed: Vec<_> = objects().map(|o| (o, covering(o).unwrap())).filter(|(o, i)| i.aabb.iou(&o.aabb) >= 0.5).collect();
     let share = |pairs: &[(&SceneObject, &Instance)], kept: usize| {
-        let named = |(o, i): &&(&SceneObject, &Instance)| i.names.iter().take(kept).any(|guess| Some(&guess.name) == known(&o.name).as_ref());
+        let named =
+            |(o, i): &&(&SceneObject, &Instance)| i.names.iter().take(kept).any(|guess| Some(&guess.name) == known(&o.name).as_ref());
         format!("{:.2} of {}", pairs.iter().filter(named).count() as f32 / pairs.len() as f32, pairs.len())
     };
     vec![name.to_owned(), share(&on_boxes, 1), share(&on_boxes, 5), share(&on_parsed, 1), share(&on_parsed, 5)]

@@ -3,6 +3,7 @@
 use crate::config::ServeConfig;
 use crate::http::{self, App};
 use crate::jobs::Jobs;
+use crate::models::chat::Tape;
 use crate::service::{PARSE_JOB, Service};
 use crate::store::Store;
 use anyhow::Context;
@@ -35,7 +36,7 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         .await
         .with_context(|| format!("the data folder {}", config.data_dir))?;
     let jobs = Jobs::new(store.clone(), config.limits.max_queued_jobs);
-    let service = Service::new(store.clone(), jobs.clone(), config.limits.service_limits());
+    let service = Service::new(store.clone(), jobs.clone(), config.limits.service_limits(), config.vlm.client(Tape::None)?.map(Arc::new));
     let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
 

@@ -2,8 +2,9 @@
 
 use crate::http::ApiKey;
 use crate::ingest::archive::UnpackLimits;
+use crate::models::chat::{ChatClient, Endpoint, Patience, Prices, Tape};
 use crate::service::Limits;
-use anyhow::{Context, bail};
+use anyhow::{Context, bail, ensure};
 use camino::Utf8PathBuf;
 use std::fs;
 use std::net::SocketAddr;
@@ -24,6 +25,8 @@ pub struct ServeConfig {
     #[command(flatten)]
     pub access: AccessConfig,
     #[command(flatten)]
+    pub vlm: VlmConfig,
+    #[command(flatten)]
     pub limits: LimitsConfig,
     #[command(flatten)]
     pub log: LogConfig,
@@ -38,6 +41,49 @@ pub struct AccessConfig {
     /// Serve a non-loopback address without a key: anybody who reaches it can read and delete every scene
     #[arg(long, env = "UNIGROUND_ALLOW_ANYBODY")]
     pub allow_anybody: bool,
+}
+
+/// A vision-language model behind an `OpenAI`-compatible chat endpoint. Its key is in `UNIGROUND_VLM_API_KEY` or in a file.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct VlmConfig {
+    /// Address of a chat endpoint, like <https://host/v1>
+    #[arg(long, env = "UNIGROUND_VLM_URL", value_name = "URL")]
+    pub vlm_url: Option<String>,
+    /// Model to ask there
+    #[arg(long, env = "UNIGROUND_VLM_MODEL", value_name = "NAME")]
+    pub vlm_model: Option<String>,
+    /// File that holds the endpoint's key (or the key itself in `UNIGROUND_VLM_API_KEY`)
+    #[arg(long, env = "UNIGROUND_VLM_API_KEY_FILE", value_name = "FILE")]
+    pub vlm_api_key_file: Option<Utf8PathBuf>,
+    /// Price of a million prompt tokens, US dollars
+    #[arg(long, env = "UNIGROUND_VLM_PROMPT_USD", default_value_t = 0.0, value_name = "USD")]
+    pub vlm_prompt_usd: f64,
+    /// Price of a million completion tokens, US dollars
+    #[arg(long, env = "UNIGROUND_VLM_COMPLETION_USD", default_value_t = 0.0, value_name = "USD")]
+    pub vlm_completion_usd: f64,
+}
+
+impl VlmConfig {
+    /// The client, if a model is configured.
+    ///
+    /// # Errors
+    /// An address without a model or the other way round, an address that is none, or an unreadable key file.
+    pub fn client(&self, tape: Tape) -> anyhow::Result<Option<ChatClient>> {
+        let Self { vlm_url, vlm_model, vlm_api_key_file, vlm_prompt_usd, vlm_completion_usd } = self;
+        let (base_url, model) = match (vlm_url, vlm_model) {
+            (None, None) => return Ok(None),
+            (Some(url), Some(model)) => (url.clone(), model.clone()),
+            (Some(_), None) => bail!("--vlm-url needs --vlm-model"),
+            (None, Some(_)) => bail!("--vlm-model needs --vlm-url"),
+        };
+        ensure!(reqwest::Url::parse(&base_url).is_ok_and(|url| url.has_host()), "--vlm-url: {base_url} is not an address");
+        let api_key = match vlm_api_key_file {
+            Some(file) => Some(fs::read_to_string(file).with_context(|| format!("the key file {file}"))?.trim().to_owned()),
+            None => std::env::var("UNIGROUND_VLM_API_KEY").ok(),
+        };
+        let prices = Prices { prompt_usd: *vlm_prompt_usd, completion_usd: *vlm_completion_usd };
+        Ok(Some(ChatClient::new(Endpoint { base_url, model, api_key, prices }, Patience::default(), tape)))
+    }
 }
 
 /// What requests may take.

@@ -31,7 +31,7 @@ pub enum Error {
     SceneNotReady { id: String, job_id: Option<String> },
     #[error("{pointer}: {detail}")]
     Invalid { pointer: String, detail: String },
-    #[error("no vision-language model is configured; use reasoner \"auto\" or \"builtin\"")]
+    #[error("no vision-language model is configured; use reasoner \"auto\" or \"builtin\", and parser \"builtin\"")]
     VlmUnavailable,
     #[error("the question took longer than {seconds} s")]
     QuestionTimedOut { seconds: f32 },

@@ -43,6 +43,7 @@ pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
         listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
         data_dir: Utf8PathBuf::try_from(data.path().to_owned())?,
         access: AccessConfig::default(),
+        vlm: crate::config::VlmConfig::default(),
         limits: crate::config::LimitsConfig::default(),
         log: LogConfig { log_format: LogFormat::Text },
     };

@@ -1,13 +1,15 @@
 //! `uniground eval`: a suite through the system, and two reports side by side.
 
+use crate::config::VlmConfig;
 use crate::evaluation::comparison::{Baseline, describe};
 use crate::evaluation::configuration::{self, Configuration};
 use crate::evaluation::report::{Report, RunFacts};
 use crate::evaluation::run::{RunOptions, Step, run as run_suite};
 use crate::evaluation::suite::{Suite, SuiteOptions};
 use crate::evaluation::systems::{InProcess, Server, System};
+use crate::models::chat::{ChatClient, Tape};
 use anyhow::{Context, bail, ensure};
-use camino::Utf8PathBuf;
+use camino::{Utf8Path, Utf8PathBuf};
 use clap::{Args, Subcommand};
 use std::collections::HashMap;
 use std::fs;
@@ -19,7 +21,7 @@ pub struct EvalArgs {
     #[command(subcommand)]
     command: Option<EvalCommand>,
     #[command(flatten)]
-    run: Option<RunArgs>,
+    run: RunArgs,
 }
 
 #[derive(Debug, Subcommand)]
@@ -42,7 +44,7 @@ struct DiffArgs {
 #[derive(Debug, Args)]
 struct RunArgs {
     /// A folder with *.queries.json, suite.json or task folders; or a list (ScanRefer, EmbodiedScan) or table (Nr3D, Sr3D, VLM-Grounder)
-    suite: Utf8PathBuf,
+    suite: Option<Utf8PathBuf>,
     /// Write report.json, report.md, index.html here; replies are kept here too, so that a run goes on where it stopped
     #[arg(long, default_value = "eval-out")]
     out: Utf8PathBuf,
@@ -55,6 +57,14 @@ struct RunArgs {
     /// Ask a running server instead of this executable (its key: UNIGROUND_API_KEY)
     #[arg(long, value_name = "URL")]
     server: Option<String>,
+    #[command(flatten)]
+    vlm: VlmConfig,
+    /// Keep every answer of the model on this tape; what is on it already is not asked again
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["replay", "server"])]
+    record: Option<Utf8PathBuf>,
+    /// Take the model's answers from this tape: nothing is asked and nothing costs
+    #[arg(long, value_name = "FILE", conflicts_with = "server")]
+    replay: Option<Utf8PathBuf>,
     /// Questions asked at once; latencies are honest with one
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     concurrency: u16,
@@ -91,26 +101,26 @@ fn check_matrix(matrix: &str) -> Result<String, String> {
 }
 
 pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
-    match (&args.command, &args.run) {
+    match (&args.command, &args.run.suite) {
         (Some(EvalCommand::Diff(diff)), _) => compare(diff),
-        (None, Some(run)) => evaluate(run),
+        (None, Some(suite)) => evaluate(suite, &args.run),
         (None, None) => bail!("a suite is needed: uniground eval SUITE"),
     }
 }
 
-fn evaluate(args: &RunArgs) -> anyhow::Result<()> {
+fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     let base = Configuration { paper_compatible: args.paper_compatible, ..Configuration::default() };
     let cells = configuration::cells(&args.matrix, &base)?;
     let baseline = args.baseline.as_deref().map(Baseline::read).transpose().context("--baseline")?;
     let options = SuiteOptions { scenes: args.scenes.clone(), label_map: args.label_map.clone() };
-    let mut suite = Suite::open(&args.suite, &options)?;
+    let mut suite = Suite::open(suite, &options)?;
     if let Some(count) = args.sample {
         ensure!(count > 0, "--sample: nothing to score");
         suite = suite.sampled(count, args.seed);
     }
     let system: Box<dyn System> = match &args.server {
         Some(address) => Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?),
-        None => Box::new(InProcess::new()?),
+        None => Box::new(InProcess::new(vlm_client(args)?)?),
     };
     suite.omissions.iter().for_each(|omission| eprintln!("left out: {omission}"));
     let run = RunOptions { out: &args.out, cells: &cells, concurrency: args.concurrency.into(), progress: &show_progress };
@@ -136,11 +146,30 @@ fn evaluate(args: &RunArgs) -> anyhow::Result<()> {
     baseline.map_or(Ok(()), |baseline| hold_against(&baseline, &now, &report, &mut out))
 }
 
+/// The model, live or from a tape; a tape knows its model.
+fn vlm_client(args: &RunArgs) -> anyhow::Result<Option<ChatClient>> {
+    if let Some(file) = &args.replay {
+        let (tape, model) = Tape::replay(file).context("--replay")?;
+        let vlm_model = args.vlm.vlm_model.clone().or(Some(model));
+        // Nobody is asked: any address will do.
+        let vlm_url = args.vlm.vlm_url.clone().or_else(|| Some("http://localhost".into()));
+        return VlmConfig { vlm_url, vlm_model, ..args.vlm.clone() }.client(tape);
+    }
+    let tape = args.record.as_deref().map_or(Ok(Tape::None), Tape::record).context("--record")?;
+    let client = args.vlm.client(tape)?;
+    ensure!(args.record.is_none() || client.is_some(), "--record: no model is configured (--vlm-url, --vlm-model)");
+    Ok(client)
+}
+
 /// Fails on a drop, and on cells or expressions the baseline has and the run has not: what is not measured can not be held.
 fn hold_against(baseline: &Baseline, now: &Baseline, report: &Report, out: &mut impl Write) -> anyhow::Result<()> {
     let queries = queries(report);
     let (changes, _) = baseline.against(now);
-    writeln!(out, "\nAgainst the baseline{}:\n", baseline.label.as_ref().map_or_else(String::new, |label| format!(" ({label})")))?;
+    writeln!(
+        out,
+        "\nAgainst the baseline{}:\n",
+        baseline.label.as_ref().map_or_else(String::new, |label| format!(" ({label})"))
+    )?;
     writeln!(out, "{}", describe(&changes, |id| queries.get(id).cloned()))?;
     let missing: Vec<&String> = baseline.cells.keys().filter(|name| !now.cells.contains_key(*name)).collect();
     ensure!(missing.is_empty(), "the baseline has cells this run has not: {missing:?}");
@@ -148,7 +177,11 @@ fn hold_against(baseline: &Baseline, now: &Baseline, report: &Report, out: &mut 
         let gone = before.right.keys().filter(|id| !now.cells[name].right.contains_key(*id)).count();
         ensure!(gone == 0, "{name}: {gone} expressions of the baseline were not scored");
     }
-    let drops: Vec<&str> = changes.iter().filter(|c| c.thresholds.iter().any(|t| t.is_drop())).map(|c| c.cell.as_str()).collect();
+    let drops: Vec<&str> = changes
+        .iter()
+        .filter(|c| c.thresholds.iter().any(|t| t.is_drop()))
+        .map(|c| c.cell.as_str())
+        .collect();
     ensure!(drops.is_empty(), "worse than the baseline by more than luck: {}", drops.join("; "));
     Ok(())
 }

@@ -44,6 +44,7 @@ pub(super) fn question(query: &str, top_k: u32) -> GroundRequest {
     GroundRequest {
         query: query.to_owned(),
         top_k,
+        parser: crate::service::ParserChoice::default(),
         reasoner: ReasonerChoice::default(),
         ablation: crate::service::Ablation::default(),
         direction_convention: crate::grounding::direction::DirectionConvention::default(),

@@ -150,6 +150,18 @@ impl Annotations {
         self.objects.binary_search_by_key(&id, |o| o.id).ok().map(|i| &self.objects[i])
     }
 
+    /// The same objects in a world turned about Z. Axis-aligned boxes are those around the turned ones.
+    #[must_use]
+    pub fn turned(&self, deg: f32) -> Self {
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), deg.to_radians());
+        let turned = |object: &SceneObject| {
+            let own = object.rotated_box();
+            let rotated = RotatedBox { center: turn * own.center, size: own.size, rotation: turn * own.rotation };
+            SceneObject { aabb: rotated.aabb(), rotated: Some(rotated), ..object.clone() }
+        };
+        Self { objects: self.objects.iter().map(turned).collect(), of_point: self.of_point.clone() }
+    }
+
     /// Whether an object is the only one of its name.
     #[must_use]
     pub fn is_unique(&self, name: &str) -> bool {
@@ -173,7 +185,10 @@ impl SceneObject {
 fn of_object(record: ObjectRecord, file: &Utf8Path, line: u64) -> Result<SceneObject, Omission> {
     let ObjectRecord { id, name, min, max, obb, cloud_points, mean_rgb, colour } = record;
     let words = colour.unwrap_or_default().replace("gray", "grey");
-    let colours = ColourName::ALL.into_iter().filter(|c| words.split_whitespace().any(|word| word == c.word())).collect();
+    let colours = ColourName::ALL
+        .into_iter()
+        .filter(|c| words.split_whitespace().any(|word| word == c.word()))
+        .collect();
     let aabb = Aabb::from_corners(Point3::from(min), Point3::from(max));
     let rotated = obb.map(|TurnedRecord { center, size, yaw_deg }| RotatedBox {
         center: Point3::from(center),
@@ -184,7 +199,11 @@ fn of_object(record: ObjectRecord, file: &Utf8Path, line: u64) -> Result<SceneOb
     sound(object).map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))
 }
 
-fn of_lookup(LookupRecord { bbox_id: id, target: name, bbox_3d }: LookupRecord, file: &Utf8Path, line: u64) -> Result<SceneObject, Omission> {
+fn of_lookup(
+    LookupRecord { bbox_id: id, target: name, bbox_3d }: LookupRecord,
+    file: &Utf8Path,
+    line: u64,
+) -> Result<SceneObject, Omission> {
     box_of_numbers(&bbox_3d)
         .map(|rotated| SceneObject {
             id,
@@ -295,6 +314,9 @@ mod tests {
         );
         assert_eq!(annotations.objects[0].name, "coffee table");
         assert!((annotations.objects[1].aabb.size - Vector3::new(1.0, 2.0, 0.5)).norm() < 1e-5, "{annotations:?}");
-        assert_eq!(omissions[0].to_string().split_once(".json").unwrap().1, ":3: object 2: the box has 4 numbers, expected 6 or 9");
+        assert_eq!(
+            omissions[0].to_string().split_once(".json").unwrap().1,
+            ":3: object 2: the box has 4 numbers, expected 6 or 9"
+        );
     }
 }

@@ -69,7 +69,11 @@ fn key(outcome: &Outcome) -> String {
 impl Baseline {
     #[must_use]
     pub fn of(report: &Report) -> Self {
-        let cells = report.cells.iter().map(|cell| (cell.name.clone(), BaselineCell::of(cell, report.run.seed))).collect();
+        let cells = report
+            .cells
+            .iter()
+            .map(|cell| (cell.name.clone(), BaselineCell::of(cell, report.run.seed)))
+            .collect();
         Self { format: FORMAT.into(), suite: report.suite.clone(), label: report.run.label.clone(), cells }
     }
 
@@ -101,7 +105,11 @@ impl Baseline {
     /// What changed since, cell by cell; cells that only one side has are named in the second list.
     #[must_use]
     pub fn against(&self, after: &Self) -> (Vec<CellChange>, Vec<String>) {
-        let changes = self.cells.iter().filter_map(|(name, before)| Some(before.against(name, after.cells.get(name)?))).collect();
+        let changes = self
+            .cells
+            .iter()
+            .filter_map(|(name, before)| Some(before.against(name, after.cells.get(name)?)))
+            .collect();
         let only = |a: &Self, b: &Self| a.cells.keys().filter(|name| !b.cells.contains_key(*name)).cloned().collect::<Vec<_>>();
         (changes, [only(self, after), only(after, self)].concat())
     }
@@ -147,7 +155,8 @@ impl BaselineCell {
 /// Changes as a table and lists; `name` says what an expression asks.
 #[must_use]
 pub fn describe(changes: &[CellChange], name: impl Fn(&str) -> Option<String>) -> String {
-    let mut text = String::from("| cell | n | IoU | before | after | difference (95 %) | gained | lost |\n|---|---|---|---|---|---|---|---|\n");
+    let mut text =
+        String::from("| cell | n | IoU | before | after | difference (95 %) | gained | lost |\n|---|---|---|---|---|---|---|---|\n");
     for change in changes {
         for (threshold, c) in IOU_THRESHOLDS.iter().zip(&change.thresholds) {
             let _ = writeln!(

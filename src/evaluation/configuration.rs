@@ -1,7 +1,7 @@
 //! What is varied in a run: one [`Configuration`] per cell of the table, from `axis=value,value;axis=…`.
 
 use crate::grounding::direction::DirectionConvention;
-use crate::service::{Ablation, ParsePreset, ReasonerChoice};
+use crate::service::{Ablation, ParsePreset, ParserChoice, ReasonerChoice};
 use anyhow::{Context, bail, ensure};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -28,6 +28,7 @@ pub struct Configuration {
     pub preset: ParsePreset,
     pub masks: String,
     pub encoder: String,
+    pub parser: ParserChoice,
     pub reasoner: ReasonerChoice,
     pub ablation: Ablation,
     pub top_k: u32,
@@ -42,6 +43,7 @@ impl Default for Configuration {
             preset: ParsePreset::Default,
             masks: MASKS[0].into(),
             encoder: ENCODERS[0].into(),
+            parser: ParserChoice::Builtin,
             reasoner: ReasonerChoice::Auto,
             ablation: Ablation::Full,
             top_k: 5,
@@ -100,6 +102,7 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
     match axis {
         "source" => configuration.source = word(axis, value, "parsed, oracle, oracle-boxes, recorded")?,
         "preset" => configuration.preset = word(axis, value, "default, paper")?,
+        "parser" => configuration.parser = word(axis, value, "builtin, vlm")?,
         "reasoner" => configuration.reasoner = word(axis, value, "auto, builtin, vlm")?,
         "ablation" => configuration.ablation = word(axis, value, "full, no_global, no_candidate, simple_prompt")?,
         "convention" => configuration.convention = word(axis, value, "paper, viewer")?,
@@ -109,7 +112,7 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
             Ok(top_k) if (1..=MAX_TOP_K).contains(&top_k) => configuration.top_k = top_k,
             _ => bail!("top_k={value}: expected 1 to {MAX_TOP_K}"),
         },
-        _ => bail!("{axis}: unknown; the axes are source, preset, masks, encoder, reasoner, ablation, top_k, convention"),
+        _ => bail!("{axis}: unknown; the axes are source, preset, masks, encoder, parser, reasoner, ablation, top_k, convention"),
     }
     Ok(())
 }
@@ -127,7 +130,10 @@ mod tests {
     fn a_matrix_spells_out_every_combination_in_order() {
         let cells = cells("source=oracle,parsed; top_k=3,5", &Configuration::default()).unwrap();
         let names: Vec<&str> = cells.iter().map(|(name, _)| name.as_str()).collect();
-        assert_eq!(names, ["source=oracle, top_k=3", "source=oracle, top_k=5", "source=parsed, top_k=3", "source=parsed, top_k=5"]);
+        assert_eq!(
+            names,
+            ["source=oracle, top_k=3", "source=oracle, top_k=5", "source=parsed, top_k=3", "source=parsed, top_k=5"]
+        );
         assert_eq!((cells[1].1.source, cells[1].1.top_k), (Source::Oracle, 5));
         let plain = super::cells("", &Configuration::default()).unwrap();
         assert_eq!(plain, [("default".to_owned(), Configuration::default())]);

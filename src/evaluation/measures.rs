@@ -87,8 +87,11 @@ impl Figures {
     #[must_use]
     pub fn of(outcomes: &[&Outcome], seed: u64) -> Self {
         let targets: Vec<(&Outcome, &TargetOutcome)> = outcomes.iter().filter_map(|o| Some((*o, o.target.as_ref()?))).collect();
-        let retained: Vec<&Outcome> =
-            targets.iter().filter(|(_, t)| best(&t.candidate_ious) >= IOU_THRESHOLDS[0]).map(|(o, _)| *o).collect();
+        let retained: Vec<&Outcome> = targets
+            .iter()
+            .filter(|(_, t)| best(&t.candidate_ious) >= IOU_THRESHOLDS[0])
+            .map(|(o, _)| *o)
+            .collect();
         let with_target: Vec<&Outcome> = targets.iter().map(|(o, _)| *o).collect();
         // An empty sum of floats is minus zero: folding from zero is not.
         let mean = |values: &mut dyn Iterator<Item = f32>| values.fold(0.0, |sum, v| sum + v) / targets.len().max(1) as f32;
@@ -237,7 +240,16 @@ mod tests {
         });
         let reply = Reply { status, latency_ms: f64::from(id), ..Reply::nothing() };
         let splits = Vec::new();
-        Outcome { id: id.to_string(), scene: "room".into(), query: "q".into(), splits, target, reply: Some(reply), error: None, picture: None }
+        Outcome {
+            id: id.to_string(),
+            scene: "room".into(),
+            query: "q".into(),
+            splits,
+            target,
+            reply: Some(reply),
+            error: None,
+            picture: None,
+        }
     }
 
     #[test]

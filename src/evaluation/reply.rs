@@ -47,7 +47,7 @@ impl Reply {
             confidence: 0.0,
             candidates: Vec::new(),
             shortlist: Vec::new(),
-            models: Models { masks: none(), encoder: none(), reasoner: none() },
+            models: Models { masks: none(), encoder: none(), parser: none(), reasoner: none() },
             usage: Usage::default(),
             latency_ms: 0.0,
         }

@@ -191,7 +191,10 @@ impl CellOfScene<'_> {
     /// Draws a wrong answer, unless it was drawn before. The name covers what is drawn.
     fn picture(&self, key: &str, cell: &CellResult, open: &mut Option<Entered>, outcome: &Outcome) -> anyhow::Result<Option<String>> {
         let drawn = pictures::boxes(outcome);
-        let name = format!("{}.jpg", digest(&serde_json::to_vec(&(key, &outcome.scene, &drawn.iter().map(|b| (&b.aabb, &b.label)).collect::<Vec<_>>()))?));
+        let name = format!(
+            "{}.jpg",
+            digest(&serde_json::to_vec(&(key, &outcome.scene, &drawn.iter().map(|b| (&b.aabb, &b.label)).collect::<Vec<_>>()))?)
+        );
         let file = self.out.join(pictures::FOLDER).join(&name);
         if !file.is_file() {
             let Ok(scene) = self.enter(cell, open) else { return Ok(None) };
@@ -264,7 +267,10 @@ impl ReplyLog {
     }
 
     fn reply(&self, task: &Task) -> Option<&Reply> {
-        self.replies.get(&task.id).filter(|(query, _)| *query == task.expression.query).map(|(_, reply)| reply)
+        self.replies
+            .get(&task.id)
+            .filter(|(query, _)| *query == task.expression.query)
+            .map(|(_, reply)| reply)
     }
 }
 
@@ -283,7 +289,10 @@ fn content(scene: &SuiteScene, configuration: &Configuration) -> anyhow::Result<
 
 fn hash_path(path: &Utf8Path, hasher: &mut Sha256) -> std::io::Result<()> {
     if path.is_dir() {
-        let mut entries = path.read_dir_utf8()?.map(|e| e.map(camino::Utf8DirEntry::into_path)).collect::<Result<Vec<Utf8PathBuf>, _>>()?;
+        let mut entries = path
+            .read_dir_utf8()?
+            .map(|e| e.map(camino::Utf8DirEntry::into_path))
+            .collect::<Result<Vec<Utf8PathBuf>, _>>()?;
         entries.sort();
         for entry in entries {
             hasher.update(entry.file_name().unwrap_or_default());
@@ -311,5 +320,7 @@ fn hex(bytes: &[u8]) -> String {
 
 /// A scene's id as a file name.
 fn file_safe(id: &str) -> String {
-    id.chars().map(|c| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | '#') { c } else { '_' }).collect()
+    id.chars()
+        .map(|c| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | '#') { c } else { '_' })
+        .collect()
 }

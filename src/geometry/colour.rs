@@ -236,7 +236,11 @@ impl ColourHistogram {
     /// a brown desk may be called orange, but not where an orange one stands beside it.
     #[must_use]
     pub fn describes(&self, name: ColourName) -> f32 {
-        let kin: f32 = ColourName::ALL.into_iter().filter(|other| *other != name).map(|other| self.share(other) * name.kinship(other)).sum();
+        let kin: f32 = ColourName::ALL
+            .into_iter()
+            .filter(|other| *other != name)
+            .map(|other| self.share(other) * name.kinship(other))
+            .sum();
         (self.share(name) / 0.6 + kin).min(1.0)
     }
 }

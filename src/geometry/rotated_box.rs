@@ -118,7 +118,11 @@ fn ordered(mut points: Face, normal: &Vector3<f64>) -> Face {
 
 /// Volume of a closed convex body (divergence theorem).
 fn volume(faces: &[Face]) -> f64 {
-    let of_face = |face: &Face| -> f64 { (1..face.len().max(2) - 1).map(|i| face[0].coords.dot(&face[i].coords.cross(&face[i + 1].coords))).sum() };
+    let of_face = |face: &Face| -> f64 {
+        (1..face.len().max(2) - 1)
+            .map(|i| face[0].coords.dot(&face[i].coords.cross(&face[i + 1].coords)))
+            .sum()
+    };
     faces.iter().map(of_face).sum::<f64>() / 6.0
 }
 

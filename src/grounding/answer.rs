@@ -195,7 +195,9 @@ fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
 /// Anchors and relations, those of anchors after those of the thing itself.
 fn collect_anchors(phrase: &Phrase, summary: &mut ParsedQuerySummary) {
     for relation in &phrase.relations {
-        summary.relations.push(if relation.negated { format!("not {}", relation.text) } else { relation.text.clone() });
+        summary
+            .relations
+            .push(if relation.negated { format!("not {}", relation.text) } else { relation.text.clone() });
         summary.anchors.extend(relation.anchors.iter().map(Phrase::text));
     }
     let within = phrase.relations.iter().flat_map(|r| &r.anchors).chain(phrase.with.iter().map(|w| &w.phrase));

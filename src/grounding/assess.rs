@@ -117,7 +117,10 @@ impl<'a> Looked<'a> {
         let order = order.chain((0..phrase.relations.len()).filter(|&i| comparing(&phrase.relations[i])));
         for i in order {
             bonds[i] = self.bonds(&phrase.relations[i], &total);
-            total.iter_mut().zip(&bonds[i]).for_each(|(score, bond)| *score *= CONTRADICTED + (1.0 - CONTRADICTED) * bond.score);
+            total
+                .iter_mut()
+                .zip(&bonds[i])
+                .for_each(|(score, bond)| *score *= CONTRADICTED + (1.0 - CONTRADICTED) * bond.score);
         }
         if let Some(superlative) = phrase.superlative {
             self.apply_superlative(superlative, &mut total);
@@ -130,7 +133,11 @@ impl<'a> Looked<'a> {
     pub fn own_fits(&self, phrase: &Phrase) -> (Vec<f32>, Vec<f32>) {
         let instances = self.scene.instances;
         let nouns = noun_fits(instances, phrase);
-        let mut own: Vec<f32> = instances.iter().zip(&nouns).map(|(i, noun)| if *noun > 0.0 { noun * colours_fit(phrase, i) } else { 0.0 }).collect();
+        let mut own: Vec<f32> = instances
+            .iter()
+            .zip(&nouns)
+            .map(|(i, noun)| if *noun > 0.0 { noun * colours_fit(phrase, i) } else { 0.0 })
+            .collect();
         for &asked in &phrase.traits {
             let fits = trait_fits(instances, &self.solids, &nouns, asked);
             own.iter_mut().zip(fits).for_each(|(score, fit)| *score *= fit);
@@ -166,7 +173,8 @@ impl<'a> Looked<'a> {
     /// For every instance as target: its best anchors and how well the relation holds.
     fn bonds(&self, relation: &Relation, fits: &[f32]) -> Vec<Bond> {
         let most = if relation.kind == RelationKind::Between { MAX_ANCHORS_OF_A_PAIR } else { MAX_ANCHORS };
-        let anchors: Vec<Vec<(usize, f32)>> = relation.anchors.iter().map(|phrase| most_plausible(&self.assess(phrase).total, most)).collect();
+        let anchors: Vec<Vec<(usize, f32)>> =
+            relation.anchors.iter().map(|phrase| most_plausible(&self.assess(phrase).total, most)).collect();
         let each = |of: &dyn Fn(usize) -> Bond| (0..fits.len()).map(|t| if fits[t] < IMPOSSIBLE { NO_BOND } else { of(t) }).collect();
         let bonds: Vec<Bond> = match (relation.kind, &anchors[..]) {
             (kind, _) if kind.is_of_the_room() => each(&|t| Bond { score: self.geometry(kind, t, &[]), anchor: None }),
@@ -212,7 +220,11 @@ impl<'a> Looked<'a> {
     fn by_distance(&self, relation: &Relation, fits: &[f32], anchors: &[Vec<(usize, f32)>]) -> Vec<Bond> {
         let [first, others @ ..] = anchors else { return vec![NO_BOND; fits.len()] };
         let rivals = most_plausible(fits, usize::MAX);
-        let likeliest: Vec<usize> = others.iter().filter_map(|c| c.iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0)))).map(|c| c.0).collect();
+        let likeliest: Vec<usize> = others
+            .iter()
+            .filter_map(|c| c.iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0))))
+            .map(|c| c.0)
+            .collect();
         let apart = |t: usize, a: usize| {
             let centers = (self.solids[t].center - self.solids[a].center).norm();
             self.solids[t].gap(&self.solids[a]) + 0.05 * centers

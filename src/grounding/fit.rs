@@ -41,7 +41,11 @@ pub fn noun_fits(instances: &[Instance], phrase: &Phrase) -> Vec<f32> {
         }
         Meaning::Structure(structure) => f32::from(u8::from(instance.structure == Some(*structure))),
         Meaning::Nouns(nouns) => {
-            let fit = nouns.iter().enumerate().map(|(i, noun)| noun_fit(noun, instance) * breadth(phrase, noun, i)).fold(0.0, f32::max);
+            let fit = nouns
+                .iter()
+                .enumerate()
+                .map(|(i, noun)| noun_fit(noun, instance) * breadth(phrase, noun, i))
+                .fold(0.0, f32::max);
             fit * among_names(fit, nouns, instance).sqrt()
         }
     };
@@ -76,7 +80,10 @@ fn given_name_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
     match (meaning, Lexicon::get().find(given)) {
         (Meaning::Nouns(asked), Some(own)) => match asked.iter().position(|noun| noun.name == own.name) {
             // The very word is meant before its synonyms.
-            Some(i) => breadth(phrase, own, i) * if i > 0 || !phrase.uses.is_empty() || given == phrase.head || own.name == phrase.head { 1.0 } else { SYNONYM },
+            Some(i) => {
+                breadth(phrase, own, i)
+                    * if i > 0 || !phrase.uses.is_empty() || given == phrase.head || own.name == phrase.head { 1.0 } else { SYNONYM }
+            }
             // "table" was given and "side table" is asked for: it may be one.
             None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => BROADER_NAME,
             None => 0.0,
@@ -114,7 +121,9 @@ pub fn trait_fits(instances: &[Instance], solids: &[Solid], nouns: &[f32], asked
         Trait::Round | Trait::Square | Trait::Rectangular => 0.0,
     };
     match asked {
-        Trait::Round | Trait::Square => return solids.iter().map(|s| OPPOSITE_TRAIT.max(((squareness(s) - 0.5) / 0.35).min(1.0))).collect(),
+        Trait::Round | Trait::Square => {
+            return solids.iter().map(|s| OPPOSITE_TRAIT.max(((squareness(s) - 0.5) / 0.35).min(1.0))).collect();
+        }
         Trait::Rectangular => return solids.iter().map(|s| OPPOSITE_TRAIT.max(((1.0 - squareness(s)) / 0.25).min(1.0))).collect(),
         _ => {}
     }

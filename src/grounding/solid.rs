@@ -94,7 +94,11 @@ impl Solid {
             return 0.0;
         }
         let to_edges = |points: &Self, edges: &Self| {
-            let distance = |p: &Point2<f32>| (0..4).map(|i| to_segment(p, &edges.corners[i], &edges.corners[(i + 1) % 4])).fold(f32::INFINITY, f32::min);
+            let distance = |p: &Point2<f32>| {
+                (0..4)
+                    .map(|i| to_segment(p, &edges.corners[i], &edges.corners[(i + 1) % 4]))
+                    .fold(f32::INFINITY, f32::min)
+            };
             points.corners.iter().map(distance).fold(f32::INFINITY, f32::min)
         };
         to_edges(self, other).min(to_edges(other, self))
@@ -105,7 +109,11 @@ impl Solid {
         let apart = |a: &Self, b: &Self| {
             [a.axis, Vector2::new(-a.axis.y, a.axis.x)].into_iter().zip(a.size).any(|(axis, size)| {
                 let along = |p: &Point2<f32>| (p - a.center.xy()).dot(&axis);
-                let (lo, hi) = b.corners.iter().map(along).fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)));
+                let (lo, hi) = b
+                    .corners
+                    .iter()
+                    .map(along)
+                    .fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), v| (lo.min(v), hi.max(v)));
                 lo > size / 2.0 || hi < -size / 2.0
             })
         };

@@ -6,10 +6,12 @@ use super::parsing::ParseModels;
 use crate::error::Error;
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::grounding::direction::{DirectionConvention, Observer};
+use crate::grounding::query::{BuiltinParser, QueryParser, Reading, VlmParser};
 use crate::grounding::{self, Alternative, Candidate, Grounding, ParsedQuerySummary, Question, SceneView, SixFields, Status, Timings};
+use crate::models::chat::ChatReply;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::OwnedSemaphorePermit;
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
@@ -25,6 +27,17 @@ pub enum ReasonerChoice {
     Auto,
     Vlm,
     Builtin,
+}
+
+/// Who reads the question.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ParserChoice {
+    /// Grammar and lexicon: no call, no cost.
+    #[default]
+    Builtin,
+    /// One call to the configured model; the grammar where its answer can not be used, told in the trace.
+    Vlm,
 }
 
 /// Parts of the paper's prompt left out; only a vision-language model has a prompt.
@@ -58,6 +71,8 @@ pub struct GroundRequest {
     #[serde(default = "default_top_k")]
     #[schema(minimum = 1, maximum = 100, default = 5)]
     pub top_k: u32,
+    #[serde(default)]
+    pub parser: ParserChoice,
     #[serde(default)]
     pub reasoner: ReasonerChoice,
     #[serde(default)]
@@ -96,6 +111,9 @@ fn default_top_k() -> u32 {
 pub struct Models {
     pub masks: String,
     pub encoder: String,
+    /// Empty in answers given before this was recorded.
+    #[serde(default)]
+    pub parser: String,
     pub reasoner: String,
 }
 
@@ -118,7 +136,7 @@ pub struct Call {
     pub completion_tokens: u64,
 }
 
-/// What happened on the way; empty for the built-in reasoner.
+/// What happened on the way; empty when everything was done by built-in parts.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Trace {
     pub calls: Vec<Call>,
@@ -174,7 +192,7 @@ pub struct Shortlisted {
 }
 
 /// Name and version, recorded with answers.
-pub const BUILTIN_REASONER: &str = "builtin-1";
+pub const BUILTIN_REASONER: &str = "builtin-2";
 const MAX_QUERY_CHARS: usize = 2000;
 const MAX_TOP_K: u32 = 100;
 const MAX_TIMEOUT_S: f32 = 3600.0;
@@ -233,21 +251,34 @@ impl Service {
         }
         let parse = self.loaded_parse(&parse_id).await?;
         let question = Question {
-            query: request.query,
+            query: request.query.clone(),
             top_k: request.top_k as usize,
             convention: request.direction_convention,
             observer: request.observer,
             target_name: None,
         };
-        let models = Models { masks: parse.masks.clone(), encoder: parse.encoder.clone(), reasoner: BUILTIN_REASONER.into() };
-        let work = self.computed(parse, move |scene| grounding::ground(scene, &question));
-        let grounding = match request.timeout_s {
+        let parser = self.parser(request.parser)?;
+        let models =
+            Models { masks: parse.masks.clone(), encoder: parse.encoder.clone(), parser: parser.name(), reasoner: BUILTIN_REASONER.into() };
+        let unpaid = request.max_cost_usd == Some(0.0);
+        let work = async {
+            let start = Instant::now();
+            let reading = match unpaid {
+                true => BuiltinParser.read(&request.query).await,
+                false => parser.read(&request.query).await,
+            };
+            let (parsed, took) = (reading.parsed.clone(), start.elapsed());
+            let grounding = self.computed(parse, move |scene| grounding::ground_read(scene, &question, parsed, took)).await?;
+            Ok::<_, Error>((grounding, reading))
+        };
+        let (grounding, reading) = match request.timeout_s {
             Some(seconds) => timeout(Duration::from_secs_f32(seconds), work)
                 .await
                 .map_err(|_| Error::QuestionTimedOut { seconds })??,
             None => work.await?,
         };
         let mut answer = dress(grounding, scene.id, u32::try_from(scene.parse_version).unwrap_or(0), models);
+        account(&mut answer, reading);
         if !self
             .store
             .insert_answer(&answer.id, &answer.scene_id, &parse_id, &serde_json::to_string(&answer)?)
@@ -262,6 +293,14 @@ impl Service {
             answer.trace = answer.trace.filter(|_| wanted(Include::Trace));
         }
         Ok(answer)
+    }
+
+    fn parser(&self, choice: ParserChoice) -> Result<Arc<dyn QueryParser>, Error> {
+        match (choice, &self.vlm) {
+            (ParserChoice::Builtin, _) => Ok(Arc::new(BuiltinParser)),
+            (ParserChoice::Vlm, Some(client)) => Ok(Arc::new(VlmParser { client: client.clone() })),
+            (ParserChoice::Vlm, None) => Err(Error::VlmUnavailable),
+        }
     }
 
     /// The candidates for a query, by names and attributes alone.
@@ -324,6 +363,28 @@ impl Service {
         self.cache.put(parse_id, parse.clone());
         Ok(parse)
     }
+}
+
+/// Notes the calls that reading the question took.
+fn account(answer: &mut Answer, Reading { parsed: _, calls, cost_usd, fell_back }: Reading) {
+    let calls: Vec<Call> = calls
+        .into_iter()
+        .map(|ChatReply { text: _, prompt_tokens, completion_tokens, attempts, latency_ms }| Call {
+            purpose: "parse".into(),
+            attempts,
+            latency_ms,
+            prompt_tokens,
+            completion_tokens,
+        })
+        .collect();
+    answer.usage = Usage {
+        vlm_calls: calls.len() as u32,
+        prompt_tokens: calls.iter().map(|c| c.prompt_tokens).sum(),
+        completion_tokens: calls.iter().map(|c| c.completion_tokens).sum(),
+        cost_usd,
+    };
+    let corrections = fell_back.map(|why| format!("the built-in parser read the question: {why}"));
+    answer.trace = Some(Trace { calls, corrections: corrections.into_iter().collect() });
 }
 
 fn dress(grounding: Grounding, scene_id: String, parse_version: u32, models: Models) -> Answer {

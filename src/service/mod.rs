@@ -11,7 +11,8 @@ mod scenes;
 mod uploads;
 
 pub use answering::{
-    Ablation, Answer, BUILTIN_REASONER, Call, CoordinateFrame, GroundRequest, Include, Models, ReasonerChoice, ShortlistRequest, Shortlisted, Trace, Usage,
+    Ablation, Answer, BUILTIN_REASONER, Call, CoordinateFrame, GroundRequest, Include, Models, ParserChoice, ReasonerChoice,
+    ShortlistRequest, Shortlisted, Trace, Usage,
 };
 pub use instances::{InstanceList, InstanceView, ViewPicture};
 pub use parsing::{PARSE_JOB, ParseModels, ParsePreset, ParseSettings, ParsedScan, parse_scan};
@@ -21,6 +22,7 @@ pub use uploads::NewScene;
 
 use crate::ingest::archive::UnpackLimits;
 use crate::jobs::Jobs;
+use crate::models::chat::ChatClient;
 use crate::store::Store;
 use cache::ParseCache;
 use std::sync::Arc;
@@ -43,15 +45,17 @@ pub struct Service {
     limits: Limits,
     cache: Arc<ParseCache>,
     questions: Arc<Semaphore>,
+    /// A chat model, where one is configured.
+    vlm: Option<Arc<ChatClient>>,
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
     content_references: Arc<Mutex<()>>,
 }
 
 impl Service {
     #[must_use]
-    pub fn new(store: Store, jobs: Jobs, limits: Limits) -> Self {
+    pub fn new(store: Store, jobs: Jobs, limits: Limits, vlm: Option<Arc<ChatClient>>) -> Self {
         let questions = Arc::new(Semaphore::new(limits.max_concurrent_questions));
-        Self { store, jobs, limits, cache: Arc::default(), questions, content_references: Arc::default() }
+        Self { store, jobs, limits, cache: Arc::default(), questions, vlm, content_references: Arc::default() }
     }
 
     #[must_use]

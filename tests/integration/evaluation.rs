@@ -108,7 +108,12 @@ fn a_server_gives_the_same_figures_as_the_process() {
     let remote = Report::new(&suite, local.run.clone(), run(&suite, &system, &options).unwrap());
     for (here, there) in local.cells[0].outcomes.iter().zip(&remote.cells[0].outcomes) {
         assert_eq!((&here.id, here.is_right(), here.status()), (&there.id, there.is_right(), there.status()));
-        assert_eq!(here.target.as_ref().map(|t| &t.candidate_ious), there.target.as_ref().map(|t| &t.candidate_ious), "{}", here.query);
+        assert_eq!(
+            here.target.as_ref().map(|t| &t.candidate_ious),
+            there.target.as_ref().map(|t| &t.candidate_ious),
+            "{}",
+            here.query
+        );
     }
     // Asked again, the server still has the scene.
     let (_keep, again_out) = folder();
@@ -149,8 +154,16 @@ fn a_drop_against_the_baseline_fails_and_names_what_was_lost() {
     let fallen = command.args(["eval", worse.as_str(), "--out", out.join("worse-out").as_str()]).args(matrix);
     let fallen = fallen.args(["--baseline", baseline.as_str()]).output().unwrap();
     assert_eq!(fallen.status.code(), Some(1));
-    assert!(text(&fallen.stderr).contains("worse than the baseline by more than luck: source=oracle"), "{}", text(&fallen.stderr));
-    assert!(text(&fallen.stdout).contains("lost in source=oracle: living_room#1: the dining table"), "{}", text(&fallen.stdout));
+    assert!(
+        text(&fallen.stderr).contains("worse than the baseline by more than luck: source=oracle"),
+        "{}",
+        text(&fallen.stderr)
+    );
+    assert!(
+        text(&fallen.stdout).contains("lost in source=oracle: living_room#1: the dining table"),
+        "{}",
+        text(&fallen.stdout)
+    );
 
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
     let difference = command.args(["eval", "diff", out.as_str(), out.join("worse-out").as_str()]).output().unwrap();
@@ -169,7 +182,10 @@ fn scenes_that_can_not_be_used_are_left_out_and_told() {
     fs::write(root.join("bare.queries.json"), query).unwrap();
     let out = root.join("out");
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
-    let output = command.args(["eval", root.as_str(), "--out", out.as_str(), "--matrix", "source=parsed,oracle"]).output().unwrap();
+    let output = command
+        .args(["eval", root.as_str(), "--out", out.as_str(), "--matrix", "source=parsed,oracle"])
+        .output()
+        .unwrap();
     assert!(output.status.success(), "{}", text(&output.stderr));
     let told = text(&output.stderr);
     assert!(told.contains("bare.queries.json:1: target 99 is not in the annotations of bare"), "{told}");

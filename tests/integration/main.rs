@@ -8,8 +8,10 @@
 mod access;
 mod archives;
 mod bad_input;
+mod chat_models;
 mod conventions;
 mod evaluation;
+mod language;
 mod layering;
 mod openapi;
 mod requests;

@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use uniground::app::{self, RunningService};
 use uniground::client::{Client, ClientError};
-use uniground::config::{AccessConfig, LimitsConfig, LogConfig, LogFormat, ServeConfig};
+use uniground::config::{AccessConfig, LimitsConfig, LogConfig, LogFormat, ServeConfig, VlmConfig};
 use uniground::http::Problem;
 use uniground::jobs::Job;
 use uniground::service::{GroundRequest, Scene};
@@ -24,11 +24,16 @@ impl TestServer {
     }
 
     pub async fn start_with(limits: LimitsConfig) -> Self {
+        Self::start_configured(limits, VlmConfig::default()).await
+    }
+
+    pub async fn start_configured(limits: LimitsConfig, vlm: VlmConfig) -> Self {
         let data = tempfile::tempdir().unwrap();
         let config = ServeConfig {
             listen: "127.0.0.1:0".parse().unwrap(),
             data_dir: Utf8PathBuf::try_from(data.path().to_owned()).unwrap(),
             access: AccessConfig::default(),
+            vlm,
             limits,
             log: LogConfig { log_format: LogFormat::Text },
         };

@@ -86,7 +86,12 @@ fn frame(title: &str, x_label: &str, top: f32, y_of: &dyn Fn(f32) -> f32) -> Str
             short(value)
         );
     }
-    let _ = write!(svg, "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{x_label}</text>", (WIDTH + LEFT) / 2.0, HEIGHT - 4.0);
+    let _ = write!(
+        svg,
+        "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{x_label}</text>",
+        (WIDTH + LEFT) / 2.0,
+        HEIGHT - 4.0
+    );
     svg
 }
 

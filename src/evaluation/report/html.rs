@@ -156,12 +156,7 @@ fn failure(outcome: &Outcome, folder: &Utf8Path, embed: bool) -> String {
             Status::Ambiguous => "ambiguous",
             Status::NoMatch => "no match",
         };
-        let _ = write!(
-            html,
-            "<p>Reply: {status}, confidence {:.2}. {}</p>",
-            reply.confidence,
-            escaped(&reply.answer.explanation)
-        );
+        let _ = write!(html, "<p>Reply: {status}, confidence {:.2}. {}</p>", reply.confidence, escaped(&reply.answer.explanation));
         let candidates: Vec<String> = reply
             .candidates
             .iter()
@@ -183,9 +178,15 @@ fn cost_charts(report: &Report) -> String {
         let name = cell.name.split(", ").filter(|part| !part.starts_with("top_k=")).collect::<Vec<_>>().join(", ");
         let ms = cell.figures.latency_ms.map_or(0.0, |l| l.p50 as f32);
         latency.entry(name.clone()).or_default().push((k as f32, ms));
-        tokens.entry(name).or_default().push((k as f32, cell.figures.prompt_tokens + cell.figures.completion_tokens));
+        tokens
+            .entry(name)
+            .or_default()
+            .push((k as f32, cell.figures.prompt_tokens + cell.figures.completion_tokens));
     }
-    latency.values_mut().chain(tokens.values_mut()).for_each(|points| points.sort_by(|a, b| a.0.total_cmp(&b.0)));
+    latency
+        .values_mut()
+        .chain(tokens.values_mut())
+        .for_each(|points| points.sort_by(|a, b| a.0.total_cmp(&b.0)));
     if !latency.values().any(|points| points.len() > 1) {
         return String::new();
     }
@@ -225,7 +226,9 @@ fn table<'a>(rows: impl Iterator<Item = (&'a str, &'a Figures)>, whole: bool) ->
             percent(f.abstention.denied)
         );
         if whole {
-            let ms = f.latency_ms.map_or_else(|| "<td>-<td>-<td>-".into(), |l| format!("<td>{:.2}<td>{:.2}<td>{:.2}", l.p50, l.p95, l.p99));
+            let ms = f
+                .latency_ms
+                .map_or_else(|| "<td>-<td>-<td>-".into(), |l| format!("<td>{:.2}<td>{:.2}<td>{:.2}", l.p50, l.p95, l.p99));
             let tokens = f.prompt_tokens + f.completion_tokens;
             let _ = write!(html, "<td>{}<td>{}{ms}<td>{:.2}<td>{tokens:.0}<td>{:.3}", f.ambiguous, f.failed, f.vlm_calls, f.cost_usd);
         }

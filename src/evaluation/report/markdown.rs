@@ -47,7 +47,8 @@ pub(super) fn page(report: &Report) -> String {
     page
 }
 
-const HEAD: &str = "| | n | Acc@.25 | Acc@.5 | filtered .25 | .5 | mIoU | first .25 | recall@k .25 | any instance .25 | absent told | denied |";
+const HEAD: &str =
+    "| | n | Acc@.25 | Acc@.5 | filtered .25 | .5 | mIoU | first .25 | recall@k .25 | any instance .25 | absent told | denied |";
 const RULE: &str = "|---|---|---|---|---|---|---|---|---|---|---|---|";
 
 /// One row per cell.
@@ -55,7 +56,9 @@ fn cells_table(report: &Report) -> String {
     let mut table = format!("{HEAD} ambiguous | failed | ms p50 | p95 | calls | tokens | USD |\n{RULE}---|---|---|---|---|---|---|\n");
     for cell in &report.cells {
         let f = &cell.figures;
-        let (p50, p95) = f.latency_ms.map_or(("-".into(), "-".into()), |l| (format!("{:.2}", l.p50), format!("{:.2}", l.p95)));
+        let (p50, p95) = f
+            .latency_ms
+            .map_or(("-".into(), "-".into()), |l| (format!("{:.2}", l.p50), format!("{:.2}", l.p95)));
         let _ = writeln!(
             table,
             "{} {} | {} | {p50} | {p95} | {:.2} | {:.0} | {:.3} |",

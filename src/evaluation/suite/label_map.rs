@@ -6,8 +6,23 @@ use std::collections::HashMap;
 
 /// The classes; everything else is "others".
 const CLASSES: [&str; 17] = [
-    "cabinet", "bed", "chair", "sofa", "table", "door", "window", "bookshelf", "picture", "counter", "desk", "curtain", "refrigerator",
-    "shower curtain", "toilet", "sink", "bathtub",
+    "cabinet",
+    "bed",
+    "chair",
+    "sofa",
+    "table",
+    "door",
+    "window",
+    "bookshelf",
+    "picture",
+    "counter",
+    "desk",
+    "curtain",
+    "refrigerator",
+    "shower curtain",
+    "toilet",
+    "sink",
+    "bathtub",
 ];
 
 pub(super) struct LabelMap(HashMap<String, String>);

@@ -153,7 +153,11 @@ impl Suite {
     pub fn open(path: &Utf8Path, options: &SuiteOptions) -> anyhow::Result<Self> {
         ensure!(path.exists(), "{path}: there is no such file or folder");
         let mut collected = Collected::default();
-        if path.is_dir() { read_folder(path, &mut collected)? } else { read_file(path, options, &mut collected)? }
+        if path.is_dir() {
+            read_folder(path, &mut collected)?
+        } else {
+            read_file(path, options, &mut collected)?
+        }
         let own_folder = if path.is_dir() { path } else { path.parent().unwrap_or(Utf8Path::new(".")) };
         let folder = options.scenes.as_deref().unwrap_or(own_folder);
         ensure!(folder.is_dir(), "{folder}: there is no such folder of scenes");
@@ -294,7 +298,8 @@ fn resolve(task: &RawTask, scene: usize, suite_scene: &SuiteScene) -> Result<Tas
             (Target::Object { name: task.target_name.clone(), aabb: *aabb, rotated: None }, task.target_name.clone())
         }
         RawTarget::Id(id) => {
-            let annotations = annotations.ok_or_else(|| format!("the scene {} has no annotations to look up target {id} in", task.scene))?;
+            let annotations =
+                annotations.ok_or_else(|| format!("the scene {} has no annotations to look up target {id} in", task.scene))?;
             let object = annotations
                 .object(*id)
                 .ok_or_else(|| format!("target {id} is not in the annotations of {}", task.scene))?;

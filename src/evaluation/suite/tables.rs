@@ -52,7 +52,8 @@ pub(super) fn read(file: &Utf8Path, text: &str, collected: &mut Collected) -> an
             Ok(cells) => {
                 let line = cells.position().map_or(0, csv::Position::line);
                 let task = task_of(&Row { columns: &columns, cells: &cells }, i);
-                task.map(|task| RawTask { file: file.to_owned(), line, ..task }).map_err(|what| Omission::new(file, line, what))
+                task.map(|task| RawTask { file: file.to_owned(), line, ..task })
+                    .map_err(|what| Omission::new(file, line, what))
             }
             Err(error) => Err(Omission::new(file, error.position().map(csv::Position::line), error.to_string())),
         };

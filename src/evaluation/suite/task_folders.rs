@@ -120,7 +120,15 @@ fn candidates(folder: &Utf8Path) -> Result<Option<Annotations>, Omission> {
         let told = |what: String| Omission::new(&file, None, format!("candidate {id:?} {what}"));
         let number = id.parse().map_err(|_| told("is not numbered".into()))?;
         let aabb = z_up(&candidate.bbox).map_err(told)?;
-        objects.push(SceneObject { id: number, name: String::new(), aabb, rotated: None, cloud_points: 0, mean_rgb: None, colours: Vec::new() });
+        objects.push(SceneObject {
+            id: number,
+            name: String::new(),
+            aabb,
+            rotated: None,
+            cloud_points: 0,
+            mean_rgb: None,
+            colours: Vec::new(),
+        });
     }
     objects.sort_by_key(|o| o.id);
     Ok(Some(Annotations { objects, of_point: None }))

@@ -151,7 +151,10 @@ fn embodiedscan_lists_go_by_the_last_part_of_their_scan() {
                 {"scan_id": "arkitscenes/Training/47333462", "target_id": [1, 2], "distractor_ids": [], "text": "the beds", "target": "bed"},
                 {"scan_id": "arkitscenes/Training/47333462", "text": "a test expression"}]"#,
         ),
-        ("queries.json", r#"[{"scan_id": "47333462", "target_id": "2", "target_name": "bed", "caption": "the bed", "unique": false, "parsed_query": {}}]"#),
+        (
+            "queries.json",
+            r#"[{"scan_id": "47333462", "target_id": "2", "target_name": "bed", "caption": "the bed", "unique": false, "parsed_query": {}}]"#,
+        ),
     ]);
     let options = SuiteOptions { scenes: Some(root.join("scans")), ..SuiteOptions::default() };
     let suite = Suite::open(&root.join("vg.json"), &options).unwrap();
@@ -167,9 +170,15 @@ fn embodiedscan_lists_go_by_the_last_part_of_their_scan() {
 #[test]
 fn task_folders_are_turned_upright() {
     let (_keep, root) = folder(&[
-        ("scene0019_00/1/task.json", r#"{"scan_id": "scene0019_00", "target_id": "5", "target_name": "window", "caption": "a window above the dresser", "unique": true}"#),
+        (
+            "scene0019_00/1/task.json",
+            r#"{"scan_id": "scene0019_00", "target_id": "5", "target_name": "window", "caption": "a window above the dresser", "unique": true}"#,
+        ),
         ("scene0019_00/1/gt.json", r#"{"target_id": null, "gt_bbox": [1, 0.5, -3, 2, 1, 4]}"#),
-        ("scene0019_00/1/ref.json", r#"{"22": {"bbox": [1, 0.5, -3, 2, 1, 4], "similarity": 0.3}, "7": {"bbox": [0, 1, 0, 1, 1, 1]}}"#),
+        (
+            "scene0019_00/1/ref.json",
+            r#"{"22": {"bbox": [1, 0.5, -3, 2, 1, 4], "similarity": 0.3}, "7": {"bbox": [0, 1, 0, 1, 1, 1]}}"#,
+        ),
         ("scene0019_00/1/anchor_0.json", r#"{"anchor": "dresser", "bbox": [0, 0.5, 0, 1, 1, 2]}"#),
         ("scene0019_00/1/full_pcd.ply", "ply"),
         ("scene0019_00/2/task.json", r#"{"caption": "no truth"}"#),

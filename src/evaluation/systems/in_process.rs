@@ -8,25 +8,36 @@ use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
 use crate::evaluation::sealed::OracleRun;
 use crate::evaluation::suite::{Expression, Hints, SuiteScene};
 use crate::geometry::boxes::Aabb;
+use crate::grounding::query::{BuiltinParser, QueryParser, Reading, VlmParser};
 use crate::grounding::{self, Question, SceneView};
 use crate::ingest::{self, archive};
 use crate::models::attributes;
+use crate::models::chat::ChatClient;
 use crate::progress::Progress;
 use crate::scene::{Instance, InstanceId, PointCloud};
 use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::scene_parsing::masks::MaskSource;
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
-use crate::service::{self, Models, ParseSettings, ReasonerChoice, Usage, parse_scan};
+use crate::service::{self, Models, ParseSettings, ParserChoice, ReasonerChoice, Usage, parse_scan};
 use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use sha2::{Digest, Sha256};
 use std::fs;
+use std::sync::Arc;
 use std::time::Instant;
 use tempfile::TempDir;
+use tokio::runtime::Runtime;
 
 /// The system of this executable.
 pub struct InProcess {
     fingerprint: String,
+    vlm: Option<Arc<Asker>>,
+}
+
+/// A chat model, and the runtime to speak with it from threads that know of none.
+struct Asker {
+    parser: VlmParser,
+    runtime: Runtime,
 }
 
 struct LocalScene {
@@ -35,16 +46,25 @@ struct LocalScene {
     extent: Aabb,
     cloud: PointCloud,
     models: Models,
+    vlm: Option<Arc<Asker>>,
 }
 
 impl InProcess {
     /// # Errors
     /// When the executable can not be read: what it would answer is known by its bytes.
-    pub fn new() -> anyhow::Result<Self> {
+    pub fn new(vlm: Option<ChatClient>) -> anyhow::Result<Self> {
         let executable = std::env::current_exe()?;
         let bytes = fs::read(&executable).with_context(|| executable.display().to_string())?;
-        let fingerprint = Sha256::digest(bytes).iter().take(8).map(|byte| format!("{byte:02x}")).collect();
-        Ok(Self { fingerprint })
+        let program: String = Sha256::digest(bytes).iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+        let fingerprint = format!("{program} {}", vlm.as_ref().map_or("", |client| client.model()));
+        let vlm = match vlm {
+            Some(client) => {
+                let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+                Some(Arc::new(Asker { parser: VlmParser { client: Arc::new(client) }, runtime }))
+            }
+            None => None,
+        };
+        Ok(Self { fingerprint, vlm })
     }
 }
 
@@ -58,7 +78,11 @@ impl System for InProcess {
     }
 
     fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()> {
-        ensure!(configuration.reasoner != ReasonerChoice::Vlm, "reasoner=vlm: no vision-language model is configured");
+        ensure!(configuration.reasoner != ReasonerChoice::Vlm, "reasoner=vlm: this version reasons with built-in parts only");
+        ensure!(
+            configuration.parser != ParserChoice::Vlm || self.vlm.is_some(),
+            "parser=vlm: no vision-language model is configured"
+        );
         Ok(())
     }
 
@@ -83,9 +107,13 @@ impl System for InProcess {
             }
             Source::Recorded => boxed(scene.recorded.as_ref().with_context(|| missing("recorded candidates"))?, scene, Names::Encoder)?,
         };
-        let models = Models { masks, encoder: attributes::NAME.into(), reasoner: service::BUILTIN_REASONER.into() };
+        let parser = match (&self.vlm, configuration.parser) {
+            (Some(asker), ParserChoice::Vlm) => asker.parser.name(),
+            _ => BuiltinParser.name(),
+        };
+        let models = Models { masks, encoder: attributes::NAME.into(), parser, reasoner: service::BUILTIN_REASONER.into() };
         let boxes = instances.iter().map(|i| i.aabb).collect();
-        Ok(Box::new(LocalScene { instances, boxes, extent, cloud, models }))
+        Ok(Box::new(LocalScene { instances, boxes, extent, cloud, models, vlm: self.vlm.clone() }))
     }
 }
 
@@ -116,7 +144,19 @@ impl OpenScene for LocalScene {
             target_name: hints.and_then(|hints| hints.target_name.clone()),
         };
         let start = Instant::now();
-        let grounding = grounding::ground(view, &question);
+        let (grounding, usage) = match (&self.vlm, configuration.parser) {
+            (Some(asker), ParserChoice::Vlm) => {
+                let Reading { parsed, calls, cost_usd, fell_back: _ } = asker.runtime.block_on(asker.parser.read(&question.query));
+                let usage = Usage {
+                    vlm_calls: calls.len() as u32,
+                    prompt_tokens: calls.iter().map(|c| c.prompt_tokens).sum(),
+                    completion_tokens: calls.iter().map(|c| c.completion_tokens).sum(),
+                    cost_usd,
+                };
+                (grounding::ground_read(view, &question, parsed, start.elapsed()), usage)
+            }
+            _ => (grounding::ground(view, &question), Usage::default()),
+        };
         let latency_ms = start.elapsed().as_secs_f64() * 1e3;
         let (_, shortlist) = grounding::shortlist(view, &question.query, SHORTLIST_DEPTH as usize);
         Ok(Reply {
@@ -128,7 +168,7 @@ impl OpenScene for LocalScene {
             candidates: grounding.candidates,
             shortlist: shortlist.iter().map(|c| c.aabb).collect(),
             models: self.models.clone(),
-            usage: Usage::default(),
+            usage,
             latency_ms,
         })
     }

@@ -44,9 +44,7 @@ impl Server {
     pub fn connect(address: &str, api_key: Option<String>) -> anyhow::Result<Self> {
         let client = Client::new(address, api_key)?;
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build()?;
-        runtime
-            .block_on(client.scenes(1, None))
-            .with_context(|| format!("the server at {address}"))?;
+        runtime.block_on(client.scenes(1, None)).with_context(|| format!("the server at {address}"))?;
         Ok(Self { client, address: address.to_owned(), runtime: runtime.into() })
     }
 }
@@ -79,7 +77,9 @@ impl System for Server {
             let job = created.job.context("the server parses nothing by itself")?;
             let job = self.client.follow_job(&job.id, |_| {}).await?;
             if job.state != JobState::Succeeded {
-                let why = job.error.map_or_else(|| format!("it ended as {:?}", job.state), |e| format!("{} ({})", e.detail, e.code));
+                let why = job
+                    .error
+                    .map_or_else(|| format!("it ended as {:?}", job.state), |e| format!("{} ({})", e.detail, e.code));
                 bail!("the parse of {} failed: {why}", scene.id);
             }
             let id = created.scene.id;
@@ -97,10 +97,11 @@ impl System for Server {
 
 impl OpenScene for RemoteScene {
     fn ask(&self, expression: &Expression, configuration: &Configuration, _: Option<&Hints>) -> anyhow::Result<Reply> {
-        let Configuration { reasoner, ablation, top_k, convention, .. } = configuration;
+        let Configuration { parser, reasoner, ablation, top_k, convention, .. } = configuration;
         let request = GroundRequest {
             query: expression.query.clone(),
             top_k: *top_k,
+            parser: *parser,
             reasoner: *reasoner,
             ablation: *ablation,
             direction_convention: *convention,

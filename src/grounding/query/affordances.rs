@@ -21,10 +21,54 @@ pub(super) struct Affordance {
 
 /// How such a clause begins.
 const OPENERS: &[&str] = &[
-    "something", "anything", "somewhere", "someplace", "a place", "some place", "a spot", "a thing", "an object", "the object", "the thing", "an item",
-    "the item", "the place", "a device", "the device", "things", "what you", "what would", "what can", "what could", "what do", "what one", "what to", "what i",
-    "what people", "what someone", "what somebody", "what should", "what will", "what", "where can", "where do", "where could", "where to", "where you", "where would",
-    "where i", "where should", "where people", "i want to", "i need to", "i would like to", "i'd like to", "i have to", "i wish to", "how can i", "how do i",
+    "something",
+    "anything",
+    "somewhere",
+    "someplace",
+    "a place",
+    "some place",
+    "a spot",
+    "a thing",
+    "an object",
+    "the object",
+    "the thing",
+    "an item",
+    "the item",
+    "the place",
+    "a device",
+    "the device",
+    "things",
+    "what you",
+    "what would",
+    "what can",
+    "what could",
+    "what do",
+    "what one",
+    "what to",
+    "what i",
+    "what people",
+    "what someone",
+    "what somebody",
+    "what should",
+    "what will",
+    "what",
+    "where can",
+    "where do",
+    "where could",
+    "where to",
+    "where you",
+    "where would",
+    "where i",
+    "where should",
+    "where people",
+    "i want to",
+    "i need to",
+    "i would like to",
+    "i'd like to",
+    "i have to",
+    "i wish to",
+    "how can i",
+    "how do i",
 ];
 
 /// Words that end the clause and begin the circumstances.
@@ -80,7 +124,8 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
         }
         // "please bring me", "find": up to the opener only what carries nothing.
         match words::longest(rest) {
-            Some((Meaning::Filler, length)) => start += length,
+            Some((Meaning::Filler | Meaning::Determiner, length)) => start += length,
+            _ if start > 0 && rest.first() == Some(&BREAK) => start += 1,
             _ => return None,
         }
     };
@@ -117,7 +162,10 @@ fn ends_clause(words: &[&str], i: usize) -> bool {
     let next = words.get(i + length).copied().unwrap_or(BREAK);
     match words::longest(&words[(i + length).min(words.len())..]) {
         _ if meaning == Meaning::Relation(super::RelationKind::InCorner) => true,
-        Some((Meaning::Determiner | Meaning::Number(_) | Meaning::Colour(_) | Meaning::Trait(_) | Meaning::Same | Meaning::Ordinal(_), _)) => true,
+        Some((
+            Meaning::Determiner | Meaning::Number(_) | Meaning::Colour(_) | Meaning::Trait(_) | Meaning::Same | Meaning::Ordinal(_),
+            _,
+        )) => true,
         _ => next != BREAK && Lexicon::get().knows(next),
     }
 }
@@ -137,6 +185,7 @@ mod tests {
             ("something that tells me the time", "tell time", ""),
             ("something to read by next to the sofa", "read by", "next to the sofa"),
             ("i want to lie down", "lie on", ""),
+            ("could you find this for me: something to sit on", "sit on", ""),
         ] {
             let tokens = tokens(query);
             let found = find(&tokens).unwrap_or_else(|| panic!("{query}"));

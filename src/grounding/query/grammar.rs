@@ -47,6 +47,8 @@ struct Frame {
     role: Role,
     /// Words since the last noun that nothing explains.
     unknown: Vec<String>,
+    /// An article after the noun: what follows is another thing, in no relation that was understood.
+    another: bool,
 }
 
 /// Reads a query. Never fails: what is not understood is listed.
@@ -180,7 +182,9 @@ impl Reader {
             && viewpoint.anchor.with.iter().any(|with| same_thing(&with.phrase, &target))
         {
             let anchors = vec![viewpoint.anchor.clone()];
-            target.relations.push(Relation { kind: RelationKind::Near, text: "at".into(), anchors, negated: false, rank: 1 });
+            target
+                .relations
+                .push(Relation { kind: RelationKind::Near, text: "at".into(), anchors, negated: false, rank: 1 });
         }
         self.query.target = target;
         self.query
@@ -206,8 +210,14 @@ impl Reader {
         } else if of && !words::is_measure(&before) && !words::is_part(&before) {
             // "the bowl of apples" is a bowl.
             frame.phrase.unchecked.push(head.to_owned());
-        } else if words::is_anything(head) {
-        } else {
+        } else if frame.another {
+            frame.unknown.push(head.to_owned());
+            frame.another = false;
+            self.query
+                .not_understood
+                .append(&mut self.stack.last_mut().map(|f| std::mem::take(&mut f.unknown)).unwrap_or_default());
+            return;
+        } else if !words::is_anything(head) {
             // "computer desk": in English the last noun is the head.
             frame.phrase.unchecked.push(before);
             head.clone_into(&mut frame.phrase.head);
@@ -216,7 +226,10 @@ impl Reader {
         frame.phrase.unchecked.extend(unknown);
         // "not the chair by the door" speaks of the relation, "not the chair" of nothing that can be used.
         let relation_follows = rest.iter().find(|piece| !is_filler(piece)).is_some_and(|piece| {
-            matches!(piece, Piece::Word(Meaning::Relation(_) | Meaning::Colour(_) | Meaning::With { .. } | Meaning::Superlative(_), _))
+            matches!(
+                piece,
+                Piece::Word(Meaning::Relation(_) | Meaning::Colour(_) | Meaning::With { .. } | Meaning::Superlative(_), _)
+            )
         });
         if self.negated && !relation_follows {
             self.negated = false;
@@ -233,7 +246,11 @@ impl Reader {
             Meaning::Relation(kind) => self.relation(kind, text),
             Meaning::With { absent } => {
                 let absent = absent || std::mem::take(&mut self.negated);
-                if self.stack.last().is_some_and(|f| matches!(f.role, Role::Anchor { .. } | Role::With { .. }) && f.is_empty()) {
+                if self
+                    .stack
+                    .last()
+                    .is_some_and(|f| matches!(f.role, Role::Anchor { .. } | Role::With { .. }) && f.is_empty())
+                {
                     self.pop();
                 }
                 self.number = None;
@@ -273,7 +290,18 @@ impl Reader {
                     self.relation(kind, &format!("{words} {text}"));
                 }
             }
-            Meaning::OfLast | Meaning::Determiner | Meaning::Filler => {}
+            // "fetch the cup from the shelf"
+            Meaning::Filler
+                if text == "from" && self.stack.last().is_some_and(|f| !f.phrase.head.is_empty() && f.phrase.uses.is_empty()) =>
+            {
+                self.relation(RelationKind::Near, text);
+            }
+            Meaning::Determiner => {
+                let of = self.of;
+                let frame = self.top();
+                frame.another = !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
+            }
+            Meaning::OfLast | Meaning::Filler => {}
             Meaning::ThereIs => {
                 self.unwind(0);
                 self.there_is = self.target.is_some();
@@ -398,7 +426,7 @@ impl Reader {
 
     /// Closes the innermost phrase and puts it where it belongs.
     fn pop(&mut self) {
-        let Some(Frame { mut phrase, role, unknown }) = self.stack.pop() else { return };
+        let Some(Frame { mut phrase, role, unknown, another: _ }) = self.stack.pop() else { return };
         self.settle_head(&mut phrase, unknown, role);
         if phrase.is_empty() {
             return;
@@ -460,7 +488,9 @@ impl Reader {
             return;
         };
         let Relation { kind, text, negated, .. } = more.relations.remove(i);
-        target.relations.push(Relation { kind: kind.inverse(), text, anchors: vec![more], negated, rank: 1 });
+        target
+            .relations
+            .push(Relation { kind: kind.inverse(), text, anchors: vec![more], negated, rank: 1 });
     }
 }
 
@@ -480,7 +510,9 @@ fn same_thing(a: &Phrase, b: &Phrase) -> bool {
 
 /// Whether a noun phrase without an article follows: "closest chair", not "closest the chair".
 fn is_bare_noun(rest: &[Piece]) -> bool {
-    rest.iter().find(|p| !matches!(p, Piece::Word(Meaning::Colour(_) | Meaning::Trait(_), _))).is_some_and(|p| matches!(p, Piece::Noun(_)))
+    rest.iter()
+        .find(|p| !matches!(p, Piece::Word(Meaning::Colour(_) | Meaning::Trait(_), _)))
+        .is_some_and(|p| matches!(p, Piece::Noun(_)))
 }
 
 fn is_filler(piece: &Piece) -> bool {
@@ -489,7 +521,7 @@ fn is_filler(piece: &Piece) -> bool {
 
 impl Frame {
     fn new(role: Role) -> Self {
-        Self { phrase: Phrase::default(), role, unknown: Vec::new() }
+        Self { phrase: Phrase::default(), role, unknown: Vec::new(), another: false }
     }
 
     fn is_empty(&self) -> bool {

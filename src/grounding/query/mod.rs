@@ -44,6 +44,20 @@ pub enum Look {
     BackTo,
 }
 
+impl Look {
+    pub const ALL: [Self; 3] = [Self::Facing, Self::From, Self::BackTo];
+
+    /// Its name in data.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Facing => "facing",
+            Self::From => "from",
+            Self::BackTo => "back_to",
+        }
+    }
+}
+
 /// A noun phrase, with all that is said of the thing it names.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct Phrase {
@@ -235,6 +249,34 @@ impl RelationKind {
         Self::InCorner,
         Self::InMiddle,
     ];
+
+    /// Its name in data: "left_of".
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Near => "near",
+            Self::Far => "far",
+            Self::Closest => "closest",
+            Self::Farthest => "farthest",
+            Self::LeftOf => "left_of",
+            Self::RightOf => "right_of",
+            Self::InFrontOf => "in_front_of",
+            Self::Behind => "behind",
+            Self::Above => "above",
+            Self::Below => "below",
+            Self::On => "on",
+            Self::Carrying => "carrying",
+            Self::Inside => "inside",
+            Self::Between => "between",
+            Self::Around => "around",
+            Self::Opposite => "opposite",
+            Self::Facing => "facing",
+            Self::Leaning => "leaning",
+            Self::AgainstWall => "against_wall",
+            Self::InCorner => "in_corner",
+            Self::InMiddle => "in_middle",
+        }
+    }
 
     /// Whether rivals are compared: "closest".
     #[must_use]

@@ -60,7 +60,10 @@ impl QueryParser for VlmParser {
                 }
                 Err(error) => (Vec::new(), Err(error.to_string())),
             };
-            let cost_usd = calls.iter().map(|c| self.client.cost_usd(c.prompt_tokens, c.completion_tokens)).fold(0.0, |sum, c| sum + c);
+            let cost_usd = calls
+                .iter()
+                .map(|c| self.client.cost_usd(c.prompt_tokens, c.completion_tokens))
+                .fold(0.0, |sum, c| sum + c);
             match read {
                 Ok(parsed) => Reading { parsed, calls, cost_usd, fell_back: None },
                 Err(why) => Reading { parsed: parse(query), calls, cost_usd, fell_back: Some(why) },

@@ -33,7 +33,7 @@ fn schema() -> Value {
     let phrases = || json!({"type": "array", "items": {"$ref": "#/$defs/phrase"}});
     let colours = || ColourName::ALL.iter().map(|c| c.word()).collect::<Vec<_>>();
     let relation = json!({"type": "object", "additionalProperties": false, "required": ["kind", "words", "anchors"], "properties": {
-        "kind": {"type": "string", "enum": RelationKind::ALL.map(relation_word)},
+        "kind": {"type": "string", "enum": RelationKind::ALL.map(RelationKind::word)},
         "words": {"type": "string"}, "anchors": phrases(), "negated": {"type": "boolean"}, "rank": {"type": "integer", "minimum": 1},
     }});
     let superlative = json!({"type": ["object", "null"], "additionalProperties": false, "required": ["measure"], "properties": {
@@ -46,7 +46,7 @@ fn schema() -> Value {
         "relations": {"type": "array", "items": relation}, "superlative": superlative,
     }});
     let viewpoint = json!({"type": ["object", "null"], "additionalProperties": false, "required": ["look", "anchor"], "properties": {
-        "look": {"type": "string", "enum": ["facing", "from", "back_to"]}, "anchor": {"$ref": "#/$defs/phrase"},
+        "look": {"type": "string", "enum": Look::ALL.map(Look::word)}, "anchor": {"$ref": "#/$defs/phrase"},
     }});
     json!({"type": "object", "additionalProperties": false, "required": ["target"], "$defs": {"phrase": phrase}, "properties": {
         "target": {"$ref": "#/$defs/phrase"}, "viewpoint": viewpoint, "not_understood": {"type": "array", "items": {"type": "string"}},
@@ -115,12 +115,8 @@ pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
     let viewpoint = match query.viewpoint {
         None => None,
         Some(ViewpointJson { look, anchor }) => {
-            let look = match look.as_str() {
-                "facing" => Look::Facing,
-                "from" => Look::From,
-                "back_to" => Look::BackTo,
-                other => return Err(format!("the model's answer has an unknown look {other:?}")),
-            };
+            let known = Look::ALL.into_iter().find(|l| l.word() == look);
+            let look = known.ok_or_else(|| format!("the model's answer has an unknown look {look:?}"))?;
             Some(Viewpoint { look, anchor: phrase(anchor, 0, &mut parts)? })
         }
     };
@@ -146,9 +142,12 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
     }
     let mut relations = Vec::new();
     for RelationJson { kind, words, anchors, negated, rank } in json.relations {
-        let kind = RelationKind::ALL.into_iter().find(|k| relation_word(*k) == kind).ok_or_else(|| format!("the model's answer has an unknown relation {kind:?}"))?;
+        let kind = RelationKind::ALL
+            .into_iter()
+            .find(|k| k.word() == kind)
+            .ok_or_else(|| format!("the model's answer has an unknown relation {kind:?}"))?;
         let anchors = anchors.into_iter().map(|anchor| phrase(anchor, depth + 1, parts)).collect::<Result<_, _>>()?;
-        let text = if words.is_empty() { relation_word(kind).replace('_', " ") } else { words };
+        let text = if words.is_empty() { kind.word().replace('_', " ") } else { words };
         relations.push(Relation { kind, text, anchors, negated, rank: rank.unwrap_or(1).max(1) });
     }
     let superlative = match json.superlative {
@@ -184,32 +183,6 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
     })
 }
 
-fn relation_word(kind: RelationKind) -> &'static str {
-    match kind {
-        RelationKind::Near => "near",
-        RelationKind::Far => "far",
-        RelationKind::Closest => "closest",
-        RelationKind::Farthest => "farthest",
-        RelationKind::LeftOf => "left_of",
-        RelationKind::RightOf => "right_of",
-        RelationKind::InFrontOf => "in_front_of",
-        RelationKind::Behind => "behind",
-        RelationKind::Above => "above",
-        RelationKind::Below => "below",
-        RelationKind::On => "on",
-        RelationKind::Carrying => "carrying",
-        RelationKind::Inside => "inside",
-        RelationKind::Between => "between",
-        RelationKind::Around => "around",
-        RelationKind::Opposite => "opposite",
-        RelationKind::Facing => "facing",
-        RelationKind::Leaning => "leaning",
-        RelationKind::AgainstWall => "against_wall",
-        RelationKind::InCorner => "in_corner",
-        RelationKind::InMiddle => "in_middle",
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -236,7 +209,10 @@ mod tests {
             ("{\"goal\": 1}", "missing field `target`"),
             (r#"{"target": {"noun": ""}}"#, "names no target"),
             (r#"{"target": {"noun": "mug", "colours": ["mauve"]}}"#, "unknown colour \"mauve\""),
-            (r#"{"target": {"noun": "mug", "relations": [{"kind": "loves", "anchors": []}]}}"#, "unknown relation \"loves\""),
+            (
+                r#"{"target": {"noun": "mug", "relations": [{"kind": "loves", "anchors": []}]}}"#,
+                "unknown relation \"loves\"",
+            ),
             (&format!("{}{}", r#"{"target": {"noun": "a", "with": [{"noun": "b", "with": ["#.repeat(1), "]}]}}"), ""),
         ] {
             match decode(text) {

@@ -62,7 +62,12 @@ pub(super) fn explain(looked: &Looked, phrase: &Phrase, read: &Assessment, best:
 
 pub(super) fn explain_tie(scene: SceneView, target: &Phrase, tied: &[usize]) -> String {
     let ids: Vec<String> = tied.iter().take(6).map(|&i| scene.instances[i].id.to_string()).collect();
-    format!("{} instances fit \"{}\" alike: {}. Say more about the one you mean.", tied.len(), target.text(), ids.join(", "))
+    format!(
+        "{} instances fit \"{}\" alike: {}. Say more about the one you mean.",
+        tied.len(),
+        target.text(),
+        ids.join(", ")
+    )
 }
 
 pub(super) fn why_nothing_fits(parsed: &ParsedQuery) -> String {

@@ -8,11 +8,11 @@ mod lexicon;
 
 use crate::geometry::colour::ColourName;
 use crate::scene::{Instance, NameGuess, Structure, Support};
-use rayon::prelude::*;
 pub use lexicon::{Lexicon, Noun, Place, Range, Shape};
+use rayon::prelude::*;
 
 /// Name and version, recorded with parses and answers.
-pub const NAME: &str = "attributes-1";
+pub const NAME: &str = "attributes-2";
 
 /// How many names an instance keeps.
 const KEPT_NAMES: usize = 5;

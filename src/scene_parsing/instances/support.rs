@@ -14,12 +14,7 @@ const MIN_OVERLAP: f32 = 0.3;
 ///
 /// # Errors
 /// [`Cancelled`].
-pub fn supports(
-    boxes: &[Aabb],
-    structures: &[Option<Structure>],
-    floor_z: f32,
-    progress: &Progress,
-) -> Result<Vec<Support>, Cancelled> {
+pub fn supports(boxes: &[Aabb], structures: &[Option<Structure>], floor_z: f32, progress: &Progress) -> Result<Vec<Support>, Cancelled> {
     let of = |i| progress.check().map(|()| of(i, boxes, structures, floor_z));
     (0..boxes.len()).into_par_iter().map(of).collect()
 }

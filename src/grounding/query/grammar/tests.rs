@@ -118,7 +118,7 @@ fn commands_and_slips() {
         ("bring me the red mug on the coffee table", "red mug; On(coffee table)"),
         ("could you please pick up the blue cup", "blue cup"),
         ("go to the refrigeratr", "refrigerator"),
-        ("robot, fetch the laptop from the desk", "laptop"),
+        ("robot, fetch the laptop from the desk", "laptop; Near(desk)"),
         ("turn on the lamp next to the bed", "lamp; Near(bed)"),
     ]);
 }

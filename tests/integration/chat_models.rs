@@ -1,0 +1,218 @@
+//! A chat model reads the questions: a scripted OpenAI-compatible server on loopback plays the model.
+
+use crate::server::{TestServer, ask};
+use axum::Json;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::IntoResponse;
+use axum::routing::post;
+use camino::{Utf8Path, Utf8PathBuf};
+use serde_json::{Value, json};
+use std::fs;
+use std::process::{Command, Output};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+use uniground::client::ClientError;
+use uniground::config::{LimitsConfig, VlmConfig};
+use uniground::models::chat::{ChatClient, ChatError, ChatRequest, Endpoint, Part, Patience, Prices, Tape};
+use uniground::service::{GroundRequest, ParserChoice};
+
+/// What the model is told to answer next, and what it was asked.
+#[derive(Clone, Default)]
+struct Script {
+    answers: Arc<Mutex<Vec<(u16, Value)>>>,
+    asked: Arc<Mutex<Vec<(Option<String>, Value)>>>,
+}
+
+impl Script {
+    /// Serves these answers in order, the last one for ever. Returns the base address.
+    async fn serve(&self, answers: Vec<(u16, Value)>) -> String {
+        *self.answers.lock().unwrap() = answers;
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let router = axum::Router::new().route("/v1/chat/completions", post(complete)).with_state(self.clone());
+        tokio::spawn(async move { axum::serve(listener, router).await });
+        format!("http://{address}/v1")
+    }
+
+    fn calls(&self) -> usize {
+        self.asked.lock().unwrap().len()
+    }
+}
+
+async fn complete(State(script): State<Script>, headers: HeaderMap, Json(body): Json<Value>) -> impl IntoResponse {
+    let key = headers.get("authorization").map(|v| v.to_str().unwrap().to_owned());
+    script.asked.lock().unwrap().push((key, body));
+    let mut answers = script.answers.lock().unwrap();
+    let (status, answer) = if answers.len() > 1 { answers.remove(0) } else { answers[0].clone() };
+    (StatusCode::from_u16(status).unwrap(), Json(answer))
+}
+
+/// A completion with this text.
+fn says(text: &str) -> (u16, Value) {
+    (
+        200,
+        json!({"choices": [{"message": {"role": "assistant", "content": text}}], "usage": {"prompt_tokens": 700, "completion_tokens": 40}}),
+    )
+}
+
+fn quick() -> Patience {
+    Patience { backoff: Duration::from_millis(1), longest_wait: Duration::from_millis(5), ..Patience::default() }
+}
+
+fn client(base_url: String, tape: Tape) -> ChatClient {
+    let prices = Prices { prompt_usd: 2.0, completion_usd: 8.0 };
+    ChatClient::new(Endpoint { base_url, model: "scripted".into(), api_key: Some("sk-secret-key".into()), prices }, quick(), tape)
+}
+
+fn question(text: &str) -> ChatRequest {
+    ChatRequest { system: "s".into(), user: vec![Part::Text(text.into())], schema: Some(("answer", json!({"type": "object"}))) }
+}
+
+#[tokio::test]
+async fn what_may_pass_is_tried_again_what_will_not_is_told() {
+    let busy = || (429, json!({"error": {"message": "slow down"}}));
+    let script = Script::default();
+    let url = script.serve(vec![busy(), (503, json!({})), says("fine")]).await;
+    let reply = client(url, Tape::None).ask(&question("a")).await.unwrap();
+    assert_eq!((reply.text.as_str(), reply.attempts, reply.prompt_tokens), ("fine", 3, 700));
+    assert_eq!(script.asked.lock().unwrap()[0].0.as_deref(), Some("Bearer sk-secret-key"));
+
+    // Five attempts, no more.
+    let script = Script::default();
+    let url = script.serve(vec![busy()]).await;
+    let error = client(url, Tape::None).ask(&question("a")).await.unwrap_err();
+    assert!(
+        matches!(&error, ChatError::Refused { status, detail } if status.as_u16() == 429 && detail == "slow down"),
+        "{error:?}"
+    );
+    assert_eq!(script.calls(), 5);
+
+    // A wrong key is wrong at once, and is not repeated in the message.
+    let script = Script::default();
+    let url = script.serve(vec![(401, json!({"error": {"message": "bad key"}}))]).await;
+    let error = client(url, Tape::None).ask(&question("a")).await.unwrap_err();
+    assert!(!format!("{error:?} {error}").contains("sk-secret") && script.calls() == 1, "{error:?}");
+}
+
+#[tokio::test]
+async fn a_server_that_knows_no_schemas_is_asked_without() {
+    let script = Script::default();
+    let url = script
+        .serve(vec![(400, json!({"error": {"message": "unknown field response_format"}})), says("{}")])
+        .await;
+    client(url, Tape::None).ask(&question("a")).await.unwrap();
+    let asked = script.asked.lock().unwrap();
+    assert!(asked[0].1.get("response_format").is_some() && asked[1].1.get("response_format").is_none());
+}
+
+fn reads_mug() -> (u16, Value) {
+    let relation = json!([{"kind": "on", "words": "on", "anchors": [{"noun": "coffee table"}]}]);
+    says(&json!({"target": {"noun": "mug", "relations": relation}}).to_string())
+}
+
+#[tokio::test]
+async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
+    let script = Script::default();
+    let url = script
+        .serve(vec![reads_mug(), says("I would rather not."), (400, json!({"error": {"message": "no"}}))])
+        .await;
+    let vlm = VlmConfig {
+        vlm_url: Some(url),
+        vlm_model: Some("scripted".into()),
+        vlm_prompt_usd: 2.0,
+        vlm_completion_usd: 8.0,
+        ..VlmConfig::default()
+    };
+    let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
+    let scene = server
+        .parsed(fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap())
+        .await;
+    let with_model = |query: &str| GroundRequest { parser: ParserChoice::Vlm, ..ask(query) };
+
+    // The words mean nothing to the grammar; the model has read them.
+    let answer = server.client.ground(&scene.id, &with_model("der Becher auf dem Couchtisch")).await.unwrap();
+    let plain = server.client.ground(&scene.id, &ask("the mug on the coffee table")).await.unwrap();
+    assert_eq!((answer.answer.predicted_id, &answer.parsed_query.target), (plain.answer.predicted_id, &"mug".to_owned()));
+    assert_eq!((answer.usage.vlm_calls, answer.usage.prompt_tokens, answer.usage.completion_tokens), (1, 700, 40));
+    assert!((answer.usage.cost_usd - (700.0 * 2.0 + 40.0 * 8.0) / 1e6).abs() < 1e-12, "{:?}", answer.usage);
+    assert_eq!(answer.trace.as_ref().unwrap().calls[0].purpose, "parse");
+    assert!(answer.models.parser.starts_with("scripted") && plain.models.parser.starts_with("builtin"));
+    assert_eq!((plain.usage.vlm_calls, plain.usage.cost_usd), (0, 0.0));
+
+    // A refusal and an error: the grammar answers, and the trace says why. What was paid for is counted.
+    for (calls, expected) in [(1, "no JSON object"), (0, "400 Bad Request: no")] {
+        let answer = server.client.ground(&scene.id, &with_model("the mug on the coffee table")).await.unwrap();
+        assert_eq!(answer.answer.predicted_id, plain.answer.predicted_id);
+        assert_eq!(answer.usage.vlm_calls, calls);
+        let corrections = answer.trace.unwrap().corrections;
+        assert!(corrections.len() == 1 && corrections[0].contains(expected), "{corrections:?}");
+    }
+    // Nothing may be spent: nobody is asked.
+    let before = script.calls();
+    let unpaid = GroundRequest { max_cost_usd: Some(0.0), ..with_model("the mug on the coffee table") };
+    assert_eq!(server.client.ground(&scene.id, &unpaid).await.unwrap().usage.vlm_calls, 0);
+    assert_eq!(script.calls(), before);
+    server.stop().await;
+
+    let server = TestServer::start().await;
+    let scene = server
+        .parsed(fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap())
+        .await;
+    match server.client.ground(&scene.id, &with_model("the mug")).await {
+        Err(ClientError::Problem(problem)) => assert_eq!((problem.code.as_str(), problem.status), ("vlm_unavailable", 502)),
+        other => panic!("{other:?}"),
+    }
+    server.stop().await;
+}
+
+fn eval(out: &Utf8Path, args: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
+    let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
+    command
+        .args(["eval", examples, "--out", out.as_str(), "--matrix", "source=oracle;parser=builtin,vlm"])
+        .args(args)
+        .output()
+        .unwrap()
+}
+
+#[test]
+fn a_table_that_was_paid_for_is_computed_again_from_tape() {
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let script = Script::default();
+    let url = runtime.block_on(script.serve(vec![reads_mug()]));
+    let temporary = tempfile::tempdir().unwrap();
+    let root = Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
+    let tape = root.join("tape.jsonl");
+    let model = ["--vlm-url", &url, "--vlm-model", "scripted", "--vlm-prompt-usd", "2"];
+    let recorded = eval(&root.join("a"), &[&model[..], &["--record", tape.as_str()]].concat());
+    assert!(recorded.status.success(), "{}", String::from_utf8_lossy(&recorded.stderr));
+    let calls = script.calls();
+    assert_eq!(calls, 19, "one call for each expression of one cell");
+    assert!(!fs::read_to_string(&tape).unwrap().contains("127.0.0.1"));
+
+    // Recorded once more: what is on the tape is not paid for again.
+    eval(&root.join("b"), &[&model[..], &["--record", tape.as_str()]].concat());
+    assert_eq!(script.calls(), calls);
+    // Replayed: no model, no address, the same figures.
+    let replayed = eval(&root.join("c"), &["--replay", tape.as_str(), "--vlm-prompt-usd", "2"]);
+    assert!(replayed.status.success(), "{}", String::from_utf8_lossy(&replayed.stderr));
+    assert_eq!(script.calls(), calls);
+    let figures = |folder: &str| {
+        let report: Value = serde_json::from_slice(&fs::read(root.join(folder).join("report.json")).unwrap()).unwrap();
+        let mut figures = report["cells"][1]["figures"].clone();
+        figures.as_object_mut().unwrap().remove("latency_ms");
+        figures
+    };
+    assert_eq!(figures("a"), figures("c"));
+    assert!(figures("c")["vlm_calls"] == 1.0 && figures("c")["cost_usd"].as_f64().unwrap() > 0.0, "{}", figures("c"));
+    // A question that is not on the tape fails, and counts as the grammar's.
+    fs::write(&tape, fs::read_to_string(&tape).unwrap().lines().take(1).map(|l| format!("{l}\n")).collect::<String>()).unwrap();
+    let partly = eval(&root.join("d"), &["--replay", tape.as_str()]);
+    assert!(partly.status.success(), "{}", String::from_utf8_lossy(&partly.stderr));
+    assert!(figures("d")["vlm_calls"].as_f64().unwrap() < 0.1, "{}", figures("d"));
+    // A tape that is none is named by its line.
+    fs::write(&tape, "{}\n{}\n").unwrap();
+    let broken = eval(&root.join("e"), &["--replay", tape.as_str()]);
+    assert!(String::from_utf8_lossy(&broken.stderr).contains("tape.jsonl:1: not a line of a tape"));
+}

@@ -1,0 +1,200 @@
+//! Language and space alone: annotated objects with their names, so that only words and geometry are measured.
+
+use crate::shared_scenes::shared_scene;
+use camino::Utf8Path;
+use std::fs;
+use uniground::evaluation::annotations::Annotations;
+use uniground::evaluation::configuration::{self, Configuration};
+use uniground::evaluation::report::{CellReport, Report, RunFacts};
+use uniground::evaluation::run::{RunOptions, run};
+use uniground::evaluation::suite::{Suite, SuiteOptions};
+use uniground::evaluation::systems::{InProcess, Names, instances_of};
+use uniground::geometry::boxes::Aabb;
+use uniground::grounding::direction::DirectionConvention;
+use uniground::grounding::{Question, SceneView, Status, ground};
+use uniground::models::attributes::Lexicon;
+use uniground::scene::{Instance, PointCloud};
+
+#[derive(serde::Deserialize)]
+struct Query {
+    query: String,
+    target_id: Option<u32>,
+    kind: String,
+}
+
+/// A room as its annotations know it.
+struct Known {
+    queries: Vec<Query>,
+    annotations: Annotations,
+}
+
+fn rooms() -> Option<Vec<(&'static str, Known)>> {
+    let folder = shared_scene("room1.zip")?;
+    let room = |name: &'static str| {
+        let text = fs::read_to_string(folder.join(format!("{name}.queries.json"))).unwrap();
+        let (annotations, omissions) = Annotations::read(&folder.join(format!("{name}.scene.json")));
+        assert!(omissions.is_empty(), "{omissions:?}");
+        (name, Known { queries: serde_json::from_str(&text).unwrap(), annotations })
+    };
+    Some(vec![room("room1"), room("room2")])
+}
+
+fn instances(annotations: &Annotations) -> Vec<Instance> {
+    instances_of(annotations, &PointCloud::default(), Names::Annotated)
+}
+
+/// Whether an answer is the annotated one; ids of instances follow the order of annotations.
+fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Option<u32>) -> bool {
+    let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
+    let view = SceneView { instances, extent: Aabb::around(&corners).unwrap() };
+    let question = Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };
+    let answer = ground(view, &question);
+    let chosen = answer.answer.predicted_id.map(|id| known.objects[id.0 as usize - 1].id);
+    match target {
+        Some(_) => chosen == target,
+        None => answer.status == Status::NoMatch,
+    }
+}
+
+/// Right of all, over the kinds asked for.
+fn score(known: &Known, annotations: &Annotations, words: impl Fn(&str) -> String, kinds: impl Fn(&str) -> bool) -> (usize, usize) {
+    let instances = instances(annotations);
+    let asked: Vec<&Query> = known.queries.iter().filter(|q| kinds(&q.kind)).collect();
+    let right = |q: &&&Query| {
+        let right = is_right(annotations, &instances, &words(&q.query), q.target_id);
+        if !right {
+            println!("  wrong: {}", words(&q.query));
+        }
+        right
+    };
+    (asked.iter().filter(right).count(), asked.len())
+}
+
+fn share((right, of): (usize, usize)) -> f32 {
+    right as f32 / of as f32
+}
+
+/// The floors of a room: all with a target, relations and superlatives, absent things found absent.
+fn check_floors(name: &str, known: &Known, annotations: &Annotations, words: impl Fn(&str) -> String, skip_views: bool) {
+    let counts = |kind: &str| kind != "absent" && !(skip_views && kind == "view");
+    let present = score(known, annotations, &words, counts);
+    let spatial = score(known, annotations, &words, |kind| matches!(kind, "relation" | "superlative"));
+    let absent = score(known, annotations, &words, |kind| kind == "absent");
+    println!("{name}: {present:?} with a target, {spatial:?} relations and superlatives, {absent:?} absent");
+    assert!(share(present) >= 0.85 && share(spatial) >= 0.9 && absent.0 >= 5, "{name}");
+}
+
+#[test]
+fn annotated_rooms_are_understood() {
+    for (name, known) in rooms().unwrap_or_default() {
+        check_floors(name, &known, &known.annotations, str::to_owned, false);
+    }
+}
+
+/// Nothing but the views depends on where X points.
+#[test]
+fn annotated_rooms_are_understood_however_the_world_is_turned() {
+    for (name, known) in rooms().unwrap_or_default() {
+        for deg in [20.0, 45.0, 73.0, 200.0] {
+            check_floors(&format!("{name} turned by {deg}"), &known, &known.annotations.turned(deg), str::to_owned, true);
+        }
+    }
+}
+
+/// Other words for the same: each noun becomes a synonym, relations are said otherwise, orders become questions.
+#[test]
+fn annotated_rooms_are_understood_in_other_words() {
+    for (name, known) in rooms().unwrap_or_default() {
+        check_floors(&format!("{name} in other words"), &known, &known.annotations, paraphrased, false);
+        // The order turned round: what it is near comes first.
+        check_floors(
+            &format!("{name} turned round"),
+            &known,
+            &known.annotations,
+            |query| format!("could you find this for me: {query}"),
+            false,
+        );
+    }
+}
+
+fn paraphrased(query: &str) -> String {
+    const OTHERWISE: [(&str, &str); 12] = [
+        ("this is a ", "it is a "),
+        ("find the ", "please locate the "),
+        ("bring me the ", "i want the "),
+        (" closest to ", " nearest to "),
+        (" nearest to ", " closest to "),
+        (" farthest from ", " furthest away from "),
+        (" next to ", " beside "),
+        (" beside ", " next to "),
+        (" right beside ", " adjacent to "),
+        (" under ", " underneath "),
+        (" on top of ", " on "),
+        (" tallest ", " tallest "),
+    ];
+    let mut words = format!(" {query} ");
+    for (from, to) in OTHERWISE {
+        if words.contains(from) {
+            words = words.replace(from, to);
+            break;
+        }
+    }
+    // The longest noun of the sentence becomes the first synonym that is known for it alone.
+    let tokens: Vec<String> = words.split_whitespace().map(str::to_owned).collect();
+    for length in (1..=3).rev() {
+        for start in 0..tokens.len().saturating_sub(length - 1) {
+            let noun = tokens[start..start + length].join(" ");
+            let bare = noun.trim_end_matches([',', '.']);
+            let Some(known) = Lexicon::get().nouns().iter().find(|n| n.name == bare) else { continue };
+            // Another word for "table" is a narrower one: a kitchen table. Only words for one thing have words for the same.
+            let Some(synonym) = known.synonyms.first().filter(|_| Lexicon::get().find_all(bare).len() == 1) else { continue };
+            let mut told = tokens[..start].to_vec();
+            told.push(format!("{synonym}{}", &noun[bare.len()..]));
+            told.extend_from_slice(&tokens[start + length..]);
+            return told.join(" ");
+        }
+    }
+    tokens.join(" ")
+}
+
+/// The whole system with no model at all; the quality gate holds the figure, this the floor.
+#[test]
+fn parsed_rooms_are_answered_without_any_model() {
+    let Some(folder) = shared_scene("room1.zip") else { return };
+    let suite = Suite::open(&folder, &SuiteOptions::default()).unwrap();
+    let out = tempfile::tempdir().unwrap();
+    let cells = configuration::cells("source=parsed", &Configuration::default()).unwrap();
+    let options = RunOptions { out: Utf8Path::from_path(out.path()).unwrap(), cells: &cells, concurrency: 1, progress: &|_| {} };
+    let results = run(&suite, &InProcess::new(None).unwrap(), &options).unwrap();
+    let facts = RunFacts {
+        system: "in process".into(),
+        version: String::new(),
+        label: None,
+        machine: String::new(),
+        written_at: String::new(),
+        paper_compatible: false,
+        seed: 0,
+    };
+    let report = Report::new(&suite, facts, results);
+    let [CellReport { figures, .. }] = &report.cells[..] else { panic!() };
+    println!(
+        "Acc@0.25 {:?}, first candidate {:?}, absent {:?}",
+        figures.complete[0], figures.recall_at[0], figures.abstention
+    );
+    assert!(figures.complete[0].value >= 0.35, "{:?}", figures.complete);
+}
+
+/// Words that name nothing get no box, whatever they are.
+#[test]
+fn words_that_name_nothing_get_no_box() {
+    let Some(rooms) = rooms() else { return };
+    let instances = instances(&rooms[0].1.annotations);
+    let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
+    let view = SceneView { instances: &instances, extent: Aabb::around(&corners).unwrap() };
+    for query in ["?", "the of and", "🪑", "椅子", "'; DROP TABLE scenes; --", "the red chair that is not red", "the"] {
+        let question =
+            Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };
+        let answer = ground(view, &question);
+        assert!(answer.status != Status::Grounded && answer.aabb.is_none(), "{query}: {answer:?}");
+    }
+}
