@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: demo serve test lint fmt bench bench-quality quality bench-superpoints bench-peers bench-scale openapi schemathesis clean
+.PHONY: demo serve test lint fmt bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-http openapi schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -46,6 +46,13 @@ bench-peers: ## Our parts beside PCL, Open3D and onnxruntime, in turns, to bench
 
 bench-scale: ## Stage 1 on one to eight rooms side by side, and how soon it stops
 	$(CARGO) bench --locked --quiet --bench scale -- $(ROOMS)
+
+bench-language: ## Reading questions, and deciding them over 200 and 5,000 instances
+	$(CARGO) bench --locked --quiet --bench language
+
+bench-http: ## Questions per second over HTTP (needs Debian's wrk)
+	$(CARGO) build --release --locked --quiet
+	scripts/bench-http.sh
 
 openapi: ## Regenerate the committed description
 	$(CARGO) run --release --locked --quiet -- openapi > openapi/openapi.json

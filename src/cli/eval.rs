@@ -1,7 +1,7 @@
 //! `uniground eval`: a suite through the system, and two reports side by side.
 
 use crate::config::VlmConfig;
-use crate::evaluation::comparison::{Baseline, describe};
+use crate::evaluation::comparison::{Baseline, Change, describe};
 use crate::evaluation::configuration::{self, Configuration};
 use crate::evaluation::report::{Report, RunFacts};
 use crate::evaluation::run::{RunOptions, Step, run as run_suite};
@@ -41,6 +41,8 @@ struct DiffArgs {
     json: bool,
 }
 
+// Help is read on a terminal, where backticks are noise.
+#[allow(clippy::doc_markdown)]
 #[derive(Debug, Args)]
 struct RunArgs {
     /// A folder with *.queries.json, suite.json or task folders; or a list (ScanRefer, EmbodiedScan) or table (Nr3D, Sr3D, VLM-Grounder)
@@ -179,7 +181,7 @@ fn hold_against(baseline: &Baseline, now: &Baseline, report: &Report, out: &mut 
     }
     let drops: Vec<&str> = changes
         .iter()
-        .filter(|c| c.thresholds.iter().any(|t| t.is_drop()))
+        .filter(|c| c.thresholds.iter().any(Change::is_drop))
         .map(|c| c.cell.as_str())
         .collect();
     ensure!(drops.is_empty(), "worse than the baseline by more than luck: {}", drops.join("; "));

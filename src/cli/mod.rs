@@ -22,7 +22,7 @@ pub struct Cli {
 #[derive(Debug, Subcommand)]
 enum Command {
     /// Run the service
-    Serve(ServeConfig),
+    Serve(Box<ServeConfig>),
     /// Show the whole job on the sample scene
     Demo(demo::DemoArgs),
     /// Ask a running server one question
@@ -30,7 +30,7 @@ enum Command {
     /// Cut a scan into instances, without a server
     Parse(parse::ParseArgs),
     /// Score expressions with known answers
-    Eval(eval::EvalArgs),
+    Eval(Box<eval::EvalArgs>),
     /// Print the OpenAPI description of the service
     Openapi,
 }

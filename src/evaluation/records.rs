@@ -53,7 +53,7 @@ impl<'a> Record<'a> {
         let locate = |value: &&'a RawValue| {
             // The value is a slice of the text: its distance from the start is its place.
             let at = (value.get().as_ptr() as usize).saturating_sub(text.as_ptr() as usize).min(text.len());
-            line += text.as_bytes()[counted_to.min(at)..at].iter().filter(|&&byte| byte == b'\n').count() as u64;
+            line += text.as_bytes()[counted_to.min(at)..at].split(|&byte| byte == b'\n').count() as u64 - 1;
             counted_to = at;
             Self { line, raw: value.get() }
         };

@@ -8,7 +8,7 @@ use super::configuration::{Configuration, Source};
 use super::pictures;
 use super::reply::Reply;
 use super::scoring::Outcome;
-use super::sealed::{PaperCompatibleRun, Ranked};
+use super::sealed::{PaperCompatibleRun, Ranked, Sealed};
 use super::suite::{Suite, SuiteScene, Task};
 use super::systems::{OpenScene, System};
 use crate::geometry::boxes::Aabb;
@@ -281,7 +281,7 @@ fn content(scene: &SuiteScene, configuration: &Configuration) -> anyhow::Result<
         hash_path(scan, &mut hasher).with_context(|| scan.to_string())?;
     }
     if configuration.source != Source::Parsed {
-        let annotations = scene.annotations.as_ref().map(|sealed| sealed.for_reader());
+        let annotations = scene.annotations.as_ref().map(Sealed::for_reader);
         hasher.update(format!("{annotations:?} {:?}", scene.recorded));
     }
     Ok(hex(&hasher.finalize()))

@@ -86,7 +86,7 @@ impl Solid {
     #[must_use]
     pub fn horizontal_gap(&self, other: &Self) -> f32 {
         // Far apart the circles around them tell as much.
-        let circles = (self.center - other.center).xy().norm() - (self.diagonal() + other.diagonal()) / 2.0;
+        let circles = (self.center - other.center).xy().norm() - f32::midpoint(self.diagonal(), other.diagonal());
         if circles > 4.0 * (self.diagonal() + other.diagonal()) {
             return circles;
         }

@@ -17,11 +17,14 @@ use uniground::config::{LimitsConfig, VlmConfig};
 use uniground::models::chat::{ChatClient, ChatError, ChatRequest, Endpoint, Part, Patience, Prices, Tape};
 use uniground::service::{GroundRequest, ParserChoice};
 
+/// The authorisation and the body of a request.
+type Asked = (Option<String>, Value);
+
 /// What the model is told to answer next, and what it was asked.
 #[derive(Clone, Default)]
 struct Script {
     answers: Arc<Mutex<Vec<(u16, Value)>>>,
-    asked: Arc<Mutex<Vec<(Option<String>, Value)>>>,
+    asked: Arc<Mutex<Vec<Asked>>>,
 }
 
 impl Script {

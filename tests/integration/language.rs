@@ -16,7 +16,7 @@ use uniground::models::attributes::Lexicon;
 use uniground::scene::{Instance, PointCloud};
 
 #[derive(serde::Deserialize)]
-struct Query {
+struct Expression {
     query: String,
     target_id: Option<u32>,
     kind: String,
@@ -24,7 +24,7 @@ struct Query {
 
 /// A room as its annotations know it.
 struct Known {
-    queries: Vec<Query>,
+    queries: Vec<Expression>,
     annotations: Annotations,
 }
 
@@ -59,8 +59,8 @@ fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Op
 /// Right of all, over the kinds asked for.
 fn score(known: &Known, annotations: &Annotations, words: impl Fn(&str) -> String, kinds: impl Fn(&str) -> bool) -> (usize, usize) {
     let instances = instances(annotations);
-    let asked: Vec<&Query> = known.queries.iter().filter(|q| kinds(&q.kind)).collect();
-    let right = |q: &&&Query| {
+    let asked: Vec<&Expression> = known.queries.iter().filter(|q| kinds(&q.kind)).collect();
+    let right = |q: &&&Expression| {
         let right = is_right(annotations, &instances, &words(&q.query), q.target_id);
         if !right {
             println!("  wrong: {}", words(&q.query));

@@ -89,7 +89,7 @@ fn frame(title: &str, x_label: &str, top: f32, y_of: &dyn Fn(f32) -> f32) -> Str
     let _ = write!(
         svg,
         "<text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{x_label}</text>",
-        (WIDTH + LEFT) / 2.0,
+        f32::midpoint(WIDTH, LEFT),
         HEIGHT - 4.0
     );
     svg

@@ -154,9 +154,9 @@ impl Suite {
         ensure!(path.exists(), "{path}: there is no such file or folder");
         let mut collected = Collected::default();
         if path.is_dir() {
-            read_folder(path, &mut collected)?
+            read_folder(path, &mut collected)?;
         } else {
-            read_file(path, options, &mut collected)?
+            read_file(path, options, &mut collected)?;
         }
         let own_folder = if path.is_dir() { path } else { path.parent().unwrap_or(Utf8Path::new(".")) };
         let folder = options.scenes.as_deref().unwrap_or(own_folder);

@@ -96,7 +96,7 @@ fn task_of(row: &Row, index: usize) -> Result<RawTask, String> {
 
 /// How many objects of the class there are: `scan-label-N-target-distractors…`; N counts the target.
 fn alike_of(stimulus: &str) -> Option<u32> {
-    stimulus.splitn(5, '-').nth(2)?.parse().ok()
+    stimulus.split('-').nth(2)?.parse().ok()
 }
 
 pub(super) fn depends_on_view(query: &str) -> bool {

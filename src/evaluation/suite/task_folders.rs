@@ -141,7 +141,7 @@ fn anchors(folder: &Utf8Path) -> Result<Vec<(String, Aabb)>, Omission> {
         vec![single]
     } else {
         let listed = entries(folder).map_err(|error| Omission::new(folder, None, error.to_string()))?;
-        let anchored = |path: &Utf8Path| path.file_name().is_some_and(|n| n.starts_with("anchor_") && n.ends_with(".json"));
+        let anchored = |path: &Utf8Path| path.file_name().is_some_and(|n| n.starts_with("anchor_")) && path.extension() == Some("json");
         listed.into_iter().filter(|path| anchored(path)).collect()
     };
     let read = |file: &camino::Utf8PathBuf| {

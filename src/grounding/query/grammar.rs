@@ -39,7 +39,12 @@ enum Role {
         absent: bool,
     },
     View(Look),
+    /// One too many: heard, but not used.
+    Surplus,
 }
+
+/// More relations than this in one question are not used: nobody means them, and each costs work.
+const MAX_RELATIONS: u32 = 24;
 
 #[derive(Debug, Clone, PartialEq)]
 struct Frame {
@@ -121,12 +126,15 @@ fn structural(word: &str) -> bool {
     matches!(word, "wall" | "walls" | "floor" | "ground" | "ceiling")
 }
 
+// Each is a word that was heard and waits for the one it speaks of.
+#[allow(clippy::struct_excessive_bools)]
 struct Reader {
     attach: Attach,
     query: ParsedQuery,
     /// Never empty: the target, or what adds to it, lies at the bottom.
     stack: Vec<Frame>,
     target: Option<Phrase>,
+    relations: u32,
     negated: bool,
     ordinal: Option<u32>,
     number: Option<u32>,
@@ -146,6 +154,7 @@ impl Reader {
             query: ParsedQuery::default(),
             stack: vec![Frame::new(Role::Target)],
             target: None,
+            relations: 0,
             negated: false,
             ordinal: None,
             number: None,
@@ -326,6 +335,12 @@ impl Reader {
         if self.stack.len() > 1 && (self.attach == Attach::Target || kind.is_comparison() || self.stack[0].phrase.is_empty()) {
             self.unwind(1);
         }
+        self.relations += 1;
+        if self.relations > MAX_RELATIONS {
+            self.query.not_understood.push(text.to_owned());
+            self.unwind(1);
+            return self.push(Role::Surplus);
+        }
         let negated = std::mem::take(&mut self.negated);
         let rank = if kind.is_comparison() { self.ordinal.take().unwrap_or(1) } else { 1 };
         let relation = Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated, rank };
@@ -444,6 +459,7 @@ impl Reader {
                     below.phrase.with.push(With { phrase, absent });
                 }
             }
+            Role::Surplus => self.query.not_understood.push(phrase.head),
             Role::View(look) => self.query.viewpoint = Some(Viewpoint { look, anchor: phrase }),
         }
     }

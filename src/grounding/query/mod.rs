@@ -250,7 +250,7 @@ impl RelationKind {
         Self::InMiddle,
     ];
 
-    /// Its name in data: "left_of".
+    /// Its name in data: `left_of`.
     #[must_use]
     pub fn word(self) -> &'static str {
         match self {

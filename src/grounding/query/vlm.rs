@@ -213,12 +213,9 @@ mod tests {
                 r#"{"target": {"noun": "mug", "relations": [{"kind": "loves", "anchors": []}]}}"#,
                 "unknown relation \"loves\"",
             ),
-            (&format!("{}{}", r#"{"target": {"noun": "a", "with": [{"noun": "b", "with": ["#.repeat(1), "]}]}}"), ""),
         ] {
-            match decode(text) {
-                Ok(parsed) => assert!(expected.is_empty(), "{text}: {parsed:?}"),
-                Err(error) => assert!(error.contains(expected), "{text}: {error}"),
-            }
+            let error = decode(text).unwrap_err();
+            assert!(error.contains(expected), "{text}: {error}");
         }
         let deep = format!("{{\"target\": {}{{\"noun\": \"x\"}}{}}}", "{\"noun\": \"a\", \"with\": [".repeat(9), "]}".repeat(9));
         assert!(decode(&deep).unwrap_err().contains("nests too deep"));

@@ -46,9 +46,12 @@ pub(super) enum Meaning {
     Filler,
 }
 
+/// A run of words and what it means.
+type Run = (Vec<&'static str>, Meaning);
+
 /// The table by first word, longest runs first.
-static BY_FIRST_WORD: LazyLock<HashMap<&'static str, Vec<(Vec<&'static str>, Meaning)>>> = LazyLock::new(|| {
-    let mut table: HashMap<&str, Vec<(Vec<&str>, Meaning)>> = HashMap::new();
+static BY_FIRST_WORD: LazyLock<HashMap<&'static str, Vec<Run>>> = LazyLock::new(|| {
+    let mut table: HashMap<&'static str, Vec<Run>> = HashMap::new();
     for (meaning, phrases) in lines() {
         // A test sees to it that every line has a meaning.
         let Some(meaning) = Meaning::of(meaning) else { continue };

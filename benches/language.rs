@@ -1,0 +1,72 @@
+//! Reading a question, and deciding it over 200 and 5,000 instances: `cargo bench --bench language`. One core.
+
+#![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
+
+use criterion::{Criterion, criterion_group, criterion_main};
+use std::hint::black_box;
+use uniground::evaluation::annotations::{Annotations, SceneObject};
+use uniground::evaluation::systems::{Names, instances_of};
+use uniground::geometry::boxes::Aabb;
+use uniground::geometry::{Point3, Vector3};
+use uniground::grounding::direction::DirectionConvention;
+use uniground::grounding::query::parse;
+use uniground::grounding::{Question, SceneView, ground};
+use uniground::models::attributes::Lexicon;
+use uniground::scene::{Instance, PointCloud};
+
+const QUESTIONS: [&str; 6] = [
+    "the black chair closest to the door",
+    "this is a brown chair. it is at the end of the long table, next to the window and in front of the whiteboard.",
+    "facing the desk with two monitors, the second monitor from the left",
+    "bring me the red mug on the coffee table by the sofa",
+    "something to sit on while working at the desk",
+    "not the one by the door, the other bookcase between the sofa and the desk",
+];
+
+/// A hall of `count` things of a dozen kinds on a grid, named by the encoder as in a parsed scene.
+fn hall(count: usize) -> Vec<Instance> {
+    let nouns: Vec<_> =
+        ["chair", "desk", "door", "sofa", "coffee table", "mug", "window", "bookcase", "whiteboard", "monitor", "plant", "stool"]
+            .iter()
+            .map(|name| Lexicon::get().find(name).unwrap())
+            .collect();
+    let side = (count as f32).sqrt().ceil() as usize;
+    let middle = |range: &uniground::models::attributes::Range| f32::midpoint(range.low, range.high).max(0.02);
+    let object = |i: usize| {
+        let noun = nouns[i % nouns.len()];
+        let size = Vector3::new(middle(&noun.long), middle(&noun.short), middle(&noun.height));
+        let base = middle(&noun.base);
+        let center = Point3::new((i % side) as f32 * 1.5, (i / side) as f32 * 1.5, base + size.z / 2.0);
+        let aabb = Aabb { center, size };
+        SceneObject { id: i as u32 + 1, name: noun.name.clone(), aabb, rotated: None, cloud_points: 0, mean_rgb: None, colours: Vec::new() }
+    };
+    let annotations = Annotations { objects: (0..count).map(object).collect(), of_point: None };
+    instances_of(&annotations, &PointCloud::default(), Names::Encoder)
+}
+
+fn reading(c: &mut Criterion) {
+    let mut group = c.benchmark_group("reading");
+    for question in QUESTIONS {
+        group.bench_function(question, |b| b.iter(|| parse(black_box(question))));
+    }
+    group.finish();
+}
+
+fn deciding(c: &mut Criterion) {
+    let mut group = c.benchmark_group("deciding");
+    group.sample_size(20);
+    for count in [200, 5000] {
+        let instances = hall(count);
+        let extent = Aabb::around(instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>().iter()).unwrap();
+        let scene = SceneView { instances: &instances, extent };
+        for query in QUESTIONS {
+            let question =
+                Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };
+            group.bench_function(format!("{count}: {query}"), |b| b.iter(|| ground(scene, black_box(&question))));
+        }
+    }
+    group.finish();
+}
+
+criterion_group!(benches, reading, deciding);
+criterion_main!(benches);
