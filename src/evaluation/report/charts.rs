@@ -40,7 +40,7 @@ pub(super) fn lines(title: &str, x_label: &str, lines: &[Line], top: Option<f32>
         }
         // Curves rise to the right: the legend stands where they seldom are.
         let y = HEIGHT - BOTTOM - 8.0 - 14.0 * (lines.len() - 1 - i) as f32;
-        let name = super::html::escaped(&line.name);
+        let name = super::escaped(&line.name);
         let _ = write!(svg, "<text x=\"{:.1}\" y=\"{y:.1}\" text-anchor=\"end\" style=\"fill:{colour}\">{name}</text>", WIDTH - 10.0);
     }
     svg.push_str("</svg></figure>");

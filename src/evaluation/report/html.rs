@@ -2,7 +2,7 @@
 
 use super::charts::{self, Line};
 use super::markdown::interval;
-use super::{CellReport, Report};
+use super::{CellReport, Report, escaped};
 use crate::evaluation::measures::Figures;
 use crate::evaluation::pictures;
 use crate::evaluation::scoring::Outcome;
@@ -236,8 +236,4 @@ fn table<'a>(rows: impl Iterator<Item = (&'a str, &'a Figures)>, whole: bool) ->
     }
     html.push_str("</table>");
     html
-}
-
-pub(super) fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

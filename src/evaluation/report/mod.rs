@@ -150,6 +150,11 @@ impl CellReport {
     }
 }
 
+/// Text as it may stand in HTML.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
 fn notes(configuration: &Configuration, models: Option<&Models>) -> Vec<String> {
     use crate::service::Ablation;
     let builtin = models.is_some_and(|m| m.reasoner.starts_with("builtin"));

@@ -1,20 +1,10 @@
 //! Words to phrases: a left-to-right reading with a stack of open phrases, the innermost on top.
 
 use super::affordances::{self, Affordance};
-use super::tokens::{BREAK, spelling, tokens};
+use super::pieces::{Piece, address, is_bare_noun, is_filler, pieces};
+use super::tokens::{spelling, tokens};
 use super::words::{self, Meaning};
 use super::{Look, Measure, ParsedQuery, Phrase, Relation, RelationKind, Superlative, Viewpoint, With};
-use crate::models::attributes::Lexicon;
-
-/// One piece of the query.
-#[derive(Debug, Clone, PartialEq)]
-enum Piece {
-    Word(Meaning, String),
-    Noun(String),
-    Unknown(String),
-    /// A comma or the end of a sentence.
-    Break,
-}
 
 /// What a relation hangs on when it follows another thing than the target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -69,61 +59,6 @@ pub fn parse(query: &str) -> ParsedQuery {
     let target = read(Attach::Target);
     nearest.other_reading = (target.target != nearest.target).then_some(target.target);
     nearest
-}
-
-/// How many tokens call somebody: "hey robot, ".
-fn address(tokens: &[String]) -> usize {
-    const CALLED: [&str; 6] = ["robot", "assistant", "hey", "hello", "hi", "ok"];
-    let called = tokens.iter().take_while(|token| CALLED.contains(&token.as_str())).count();
-    match tokens.get(called) {
-        Some(pause) if called > 0 && pause == BREAK => called + 1,
-        _ => 0,
-    }
-}
-
-fn pieces(tokens: &[String]) -> Vec<Piece> {
-    let mut pieces = Vec::new();
-    let mut at = 0;
-    while at < tokens.len() {
-        if tokens[at] == BREAK {
-            pieces.push(Piece::Break);
-            at += 1;
-            continue;
-        }
-        // Nothing in the tables spans a break.
-        let run: Vec<&str> = tokens[at..].iter().map(String::as_str).take_while(|t| *t != BREAK).collect();
-        let noun = longest_noun(&run);
-        let word = words::longest(&run);
-        at += match (noun, word) {
-            (Some(length), word) if word.is_none_or(|(_, w)| length >= w) => {
-                pieces.push(Piece::Noun(run[..length].join(" ")));
-                length
-            }
-            (_, Some((meaning, length))) => {
-                pieces.push(Piece::Word(meaning, run[..length].join(" ")));
-                length
-            }
-            _ => {
-                pieces.push(Piece::Unknown(run[0].to_owned()));
-                1
-            }
-        };
-    }
-    pieces
-}
-
-/// Length in words of the longest noun at the start.
-fn longest_noun(run: &[&str]) -> Option<usize> {
-    let lexicon = Lexicon::get();
-    let is_noun = |n: usize| {
-        let candidate = run[..n].join(" ");
-        (words::is_anything(&candidate) && n == 1) || structural(&candidate) || lexicon.knows(&candidate)
-    };
-    (1..=lexicon.longest_words().min(run.len())).rev().find(|&n| is_noun(n))
-}
-
-fn structural(word: &str) -> bool {
-    matches!(word, "wall" | "walls" | "floor" | "ground" | "ceiling")
 }
 
 // Each is a word that was heard and waits for the one it speaks of.
@@ -522,17 +457,6 @@ fn same_thing(a: &Phrase, b: &Phrase) -> bool {
         },
         _ => false,
     }
-}
-
-/// Whether a noun phrase without an article follows: "closest chair", not "closest the chair".
-fn is_bare_noun(rest: &[Piece]) -> bool {
-    rest.iter()
-        .find(|p| !matches!(p, Piece::Word(Meaning::Colour(_) | Meaning::Trait(_), _)))
-        .is_some_and(|p| matches!(p, Piece::Noun(_)))
-}
-
-fn is_filler(piece: &Piece) -> bool {
-    matches!(piece, Piece::Word(Meaning::Filler | Meaning::Determiner | Meaning::OfLast | Meaning::OfTarget, _))
 }
 
 impl Frame {

@@ -6,6 +6,7 @@
 mod affordances;
 mod grammar;
 mod parsers;
+mod pieces;
 mod tokens;
 mod vlm;
 mod words;

@@ -8,7 +8,7 @@ use crate::grounding::query::{Meaning, ParsedQuery, Phrase};
 use crate::models::attributes;
 use std::fmt::Write;
 
-/// "Instance 13 (brown chair, 0.45 x 0.48 x 0.90 m) has the measures of a chair (0.93), is brown (0.80); closest to instance 2
+/// "Instance 13 (brown chair, 0.45 x 0.48 x 0.90 m) is taken for "chair" (0.93), is brown (0.80); closest to instance 2
 /// (brown table), 0.40 m apart, of 4 chairs (1.00)."
 // Writing to a String can not fail.
 pub(super) fn explain(looked: &Looked, phrase: &Phrase, read: &Assessment, best: usize, viewpoint: Option<usize>) -> String {
@@ -16,13 +16,13 @@ pub(super) fn explain(looked: &Looked, phrase: &Phrase, read: &Assessment, best:
     let instance = &instances[best];
     let size = instance.aabb.size;
     let mut text = format!("Instance {} ({}, {:.2} x {:.2} x {:.2} m)", instance.id, described(instance), size.x, size.y, size.z);
-    let noun = match (&phrase.head, phrase.uses.is_empty()) {
-        (_, false) => phrase.text(),
-        (head, true) if head.is_empty() => "thing".into(),
-        (head, true) => head.clone(),
+    let taken = match (&phrase.head, phrase.uses.is_empty()) {
+        (_, false) => format!("is {}", phrase.text()),
+        (head, true) if head.is_empty() => "is a thing".into(),
+        (head, true) if instance.given_name.is_some() => format!("is named as \"{head}\""),
+        (head, true) => format!("is taken for \"{head}\""),
     };
-    let how = if instance.given_name.is_some() { "is named as" } else { "has the measures of" };
-    let _ = write!(text, " {how} a {noun} ({:.2})", read.nouns[best]);
+    let _ = write!(text, " {taken} ({:.2})", read.nouns[best]);
     for &colour in &phrase.colours {
         let _ = write!(text, ", is {} ({:.2})", colour.word(), attributes::colour_fit(colour, instance));
     }
