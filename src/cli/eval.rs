@@ -1,16 +1,18 @@
 //! `uniground eval`: a suite through the system, and two reports side by side.
 
+use super::Cli;
 use crate::config::VlmConfig;
-use crate::evaluation::comparison::{Baseline, Change, describe};
+use crate::evaluation::comparison::{Baseline, Change, describe, key as comparison_key};
 use crate::evaluation::configuration::{self, Configuration};
 use crate::evaluation::report::{Report, RunFacts};
 use crate::evaluation::run::{RunOptions, Step, run as run_suite};
 use crate::evaluation::suite::{Suite, SuiteOptions};
 use crate::evaluation::systems::{InProcess, Server, System};
 use crate::models::chat::{ChatClient, Tape};
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
-use clap::{Args, Subcommand};
+use clap::error::ErrorKind;
+use clap::{Args, CommandFactory, Subcommand};
 use std::collections::HashMap;
 use std::fs;
 use std::io::{self, IsTerminal, Write};
@@ -71,8 +73,8 @@ struct RunArgs {
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     concurrency: u16,
     /// Score this many expressions, drawn by --seed
-    #[arg(long, value_name = "COUNT")]
-    sample: Option<usize>,
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
+    sample: Option<u32>,
     /// Of the sample and of the bootstrap
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -106,7 +108,9 @@ pub fn run(args: &EvalArgs) -> anyhow::Result<()> {
     match (&args.command, &args.run.suite) {
         (Some(EvalCommand::Diff(diff)), _) => compare(diff),
         (None, Some(suite)) => evaluate(suite, &args.run),
-        (None, None) => bail!("a suite is needed: uniground eval SUITE"),
+        (None, None) => Cli::command()
+            .error(ErrorKind::MissingRequiredArgument, "a suite is needed: uniground eval SUITE")
+            .exit(),
     }
 }
 
@@ -117,12 +121,11 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     let options = SuiteOptions { scenes: args.scenes.clone(), label_map: args.label_map.clone() };
     let mut suite = Suite::open(suite, &options)?;
     if let Some(count) = args.sample {
-        ensure!(count > 0, "--sample: nothing to score");
-        suite = suite.sampled(count, args.seed);
+        suite = suite.sampled(count as usize, args.seed);
     }
     let system: Box<dyn System> = match &args.server {
         Some(address) => Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?),
-        None => Box::new(InProcess::new(vlm_client(args)?)?),
+        None => Box::new(InProcess::new(vlm_client(args)?, args.record.as_deref())?),
     };
     suite.omissions.iter().for_each(|omission| eprintln!("left out: {omission}"));
     let run = RunOptions { out: &args.out, cells: &cells, concurrency: args.concurrency.into(), progress: &show_progress };
@@ -141,11 +144,27 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     let mut out = io::stdout().lock();
     writeln!(out, "{}", report.markdown())?;
     writeln!(out, "{}", args.out.join("index.html"))?;
+    tell_losses(&report);
+    ensure!(report.cells.iter().any(|cell| !cell.outcomes.is_empty()), "nothing was scored: every expression was left out");
     let now = Baseline::of(&report);
     if let Some(file) = &args.write_baseline {
         now.write(file)?;
     }
     baseline.map_or(Ok(()), |baseline| hold_against(&baseline, &now, &report, &mut out))
+}
+
+/// What was left out or failed, on the error stream: figures alone do not show it.
+fn tell_losses(report: &Report) {
+    for cell in &report.cells {
+        let all = cell.outcomes.len() + cell.left_out.len();
+        if let Some(first) = cell.left_out.first() {
+            eprintln!("{}: {} of {all} expressions left out: {}", cell.name, cell.left_out.len(), first.reason);
+        }
+        let mut errors = cell.outcomes.iter().filter_map(|o| o.error.as_ref());
+        if let Some(first) = errors.next() {
+            eprintln!("{}: {} of {all} questions failed: {first}", cell.name, errors.count() + 1);
+        }
+    }
 }
 
 /// The model, live or from a tape; a tape knows its model.
@@ -210,7 +229,7 @@ fn compare(args: &DiffArgs) -> anyhow::Result<()> {
 
 fn queries(report: &Report) -> HashMap<String, String> {
     let outcomes = report.cells.iter().flat_map(|cell| &cell.outcomes);
-    outcomes.map(|o| (o.id.clone(), o.query.clone())).collect()
+    outcomes.map(|o| (comparison_key(o), o.query.clone())).collect()
 }
 
 /// One line that is written over; nothing where nobody watches.

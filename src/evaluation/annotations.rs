@@ -91,7 +91,7 @@ impl Annotations {
     #[must_use]
     pub fn read(file: &Utf8Path) -> (Self, Vec<Omission>) {
         let text = match fs::read_to_string(file) {
-            Ok(text) => text,
+            Ok(text) => text.trim_start_matches('\u{feff}').to_owned(),
             Err(error) => return (Self::default(), vec![Omission::new(file, None, error.to_string())]),
         };
         let mut omissions = Vec::new();
@@ -233,6 +233,9 @@ fn box_of_numbers(numbers: &[f32]) -> Result<RotatedBox, String> {
 fn sound(object: SceneObject) -> Result<SceneObject, String> {
     check_box(&object.aabb)?;
     object.rotated.map_or(Ok(()), |b| check_box(&Aabb { center: b.center, size: b.size }))?;
+    if object.rotated.is_some_and(|b| !b.rotation.coords.iter().all(|v| v.is_finite())) {
+        return Err("the box is turned by no angle".into());
+    }
     Ok(object)
 }
 

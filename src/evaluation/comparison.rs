@@ -7,6 +7,7 @@ use super::segmentation::IOU_THRESHOLDS;
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::fs;
@@ -62,8 +63,11 @@ impl Change {
     }
 }
 
-fn key(outcome: &Outcome) -> String {
-    outcome.id.clone()
+/// An expression by id and words: where ids are places in a list, the words tell whether it is still the same one.
+#[must_use]
+pub fn key(outcome: &Outcome) -> String {
+    let digest = Sha256::digest(&outcome.query);
+    format!("{}~{:02x}{:02x}{:02x}", outcome.id, digest[0], digest[1], digest[2])
 }
 
 impl Baseline {

@@ -74,6 +74,7 @@ pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, 
         seen.push(axis);
         let values: Vec<&str> = values.split(',').map(str::trim).filter(|value| !value.is_empty()).collect();
         ensure!(!values.is_empty(), "the axis {axis} has no values");
+        ensure!((1..values.len()).all(|i| !values[..i].contains(&values[i])), "the axis {axis} has a value twice");
         ensure!(cells.len() * values.len() <= MAX_CELLS, "more than {MAX_CELLS} cells");
         let mut varied = Vec::with_capacity(cells.len() * values.len());
         for (name, configuration) in cells {

@@ -62,6 +62,8 @@ struct Header {
 #[derive(Serialize, Deserialize)]
 struct Kept {
     boxes: Vec<Aabb>,
+    /// By which the system knows the scene again.
+    token: String,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -138,8 +140,18 @@ impl CellOfScene<'_> {
     fn answer(&self, cell: &mut CellResult, open: &mut Option<Entered>) -> anyhow::Result<()> {
         let key = digest(&serde_json::to_vec(&(self.system.fingerprint(), &cell.configuration))?);
         let file = self.out.join("cells").join(&key).join(format!("{}.jsonl", file_safe(&self.scene.id)));
-        let header = Header { scene: self.scene.id.clone(), content: content(self.scene, &cell.configuration)? };
+        let content = match content(self.scene, self.tasks, &cell.configuration) {
+            Ok(content) => content,
+            Err(error) => {
+                cell.left_out.extend(self.tasks.iter().map(|t| (t.id.clone(), format!("{error:#}"))));
+                return Ok(());
+            }
+        };
+        let header = Header { scene: self.scene.id.clone(), content };
         let mut log = ReplyLog::open(&file, &header)?;
+        if log.token.as_ref().is_some_and(|token| !self.system.still_has(token)) {
+            log.restart(&header)?;
+        }
         let missing: Vec<&Task> = self.tasks.iter().copied().filter(|t| log.reply(t).is_none()).collect();
 
         let mut failures: BTreeMap<String, String> = BTreeMap::new();
@@ -151,7 +163,7 @@ impl CellOfScene<'_> {
                     return Ok(());
                 }
             };
-            log.write_boxes(entered.boxes())?;
+            log.write_boxes(entered.boxes(), entered.token())?;
             let writer = Mutex::new(&mut log);
             let ask = |&task: &&Task| {
                 let hints = cell.configuration.paper_compatible.then(|| task.hints.as_hints(PaperCompatibleRun(())));
@@ -196,7 +208,7 @@ impl CellOfScene<'_> {
             digest(&serde_json::to_vec(&(key, &outcome.scene, &drawn.iter().map(|b| (&b.aabb, &b.label)).collect::<Vec<_>>()))?)
         );
         let file = self.out.join(pictures::FOLDER).join(&name);
-        if !file.is_file() {
+        if file.metadata().map_or(0, |m| m.len()) == 0 {
             let Ok(scene) = self.enter(cell, open) else { return Ok(None) };
             let Some(jpeg) = pictures::draw(scene.cloud(), &drawn) else { return Ok(None) };
             fs::write(&file, jpeg).with_context(|| file.to_string())?;
@@ -209,6 +221,7 @@ impl CellOfScene<'_> {
 struct ReplyLog {
     file: File,
     boxes: Vec<Aabb>,
+    token: Option<String>,
     replies: BTreeMap<String, (String, Reply)>,
 }
 
@@ -217,19 +230,19 @@ impl ReplyLog {
     fn open(path: &Utf8Path, header: &Header) -> anyhow::Result<Self> {
         let told = || path.to_string();
         fs::create_dir_all(path.parent().unwrap_or(Utf8Path::new("."))).with_context(told)?;
-        let text = if path.is_file() { fs::read_to_string(path).with_context(told)? } else { String::new() };
-        let mut lines = text.split_inclusive('\n').filter(|line| line.ends_with('\n'));
-        let (mut boxes, mut replies) = (Vec::new(), BTreeMap::new());
+        let bytes = if path.is_file() { fs::read(path).with_context(told)? } else { Vec::new() };
+        let mut lines = bytes.split_inclusive(|byte| *byte == b'\n').filter(|line| line.ends_with(b"\n"));
+        let (mut boxes, mut token, mut replies) = (Vec::new(), None, BTreeMap::new());
         let mut valid = 0;
         if let Some(line) = lines.next()
-            && serde_json::from_str::<Header>(line).is_ok_and(|found| found == *header)
+            && serde_json::from_slice::<Header>(line).is_ok_and(|found| found == *header)
         {
             valid += line.len();
             for line in lines {
-                if let Ok(KeptReply { id, query, reply }) = serde_json::from_str(line) {
+                if let Ok(KeptReply { id, query, reply }) = serde_json::from_slice(line) {
                     replies.insert(id, (query, reply));
-                } else if let Ok(kept) = serde_json::from_str::<Kept>(line) {
-                    boxes = kept.boxes;
+                } else if let Ok(kept) = serde_json::from_slice::<Kept>(line) {
+                    (boxes, token) = (kept.boxes, Some(kept.token));
                 } else {
                     break;
                 }
@@ -238,7 +251,7 @@ impl ReplyLog {
         }
         let file = OpenOptions::new().create(true).append(true).open(path).with_context(told)?;
         file.set_len(valid as u64).with_context(told)?;
-        let mut log = Self { file, boxes, replies };
+        let mut log = Self { file, boxes, token, replies };
         if valid == 0 {
             log.append(header)?;
         }
@@ -251,10 +264,17 @@ impl ReplyLog {
         Ok(self.file.write_all(&text)?)
     }
 
-    fn write_boxes(&mut self, boxes: &[Aabb]) -> anyhow::Result<()> {
-        if self.boxes != boxes {
-            self.append(&Kept { boxes: boxes.to_vec() })?;
-            self.boxes = boxes.to_vec();
+    /// Forgets everything: the system no longer has what was asked about.
+    fn restart(&mut self, header: &Header) -> anyhow::Result<()> {
+        self.file.set_len(0)?;
+        (self.boxes, self.token, self.replies) = (Vec::new(), None, BTreeMap::new());
+        self.append(header)
+    }
+
+    fn write_boxes(&mut self, boxes: &[Aabb], token: &str) -> anyhow::Result<()> {
+        if self.boxes != boxes || self.token.as_deref() != Some(token) {
+            self.append(&Kept { boxes: boxes.to_vec(), token: token.to_owned() })?;
+            (self.boxes, self.token) = (boxes.to_vec(), Some(token.to_owned()));
         }
         Ok(())
     }
@@ -274,8 +294,8 @@ impl ReplyLog {
     }
 }
 
-/// What the scene's instances are made from: the scan, and the annotations where those are the source.
-fn content(scene: &SuiteScene, configuration: &Configuration) -> anyhow::Result<String> {
+/// What replies are made from: the scan, the annotations where those are the source, the hints where they are handed over.
+fn content(scene: &SuiteScene, tasks: &[&Task], configuration: &Configuration) -> anyhow::Result<String> {
     let mut hasher = Sha256::new();
     if let Some(scan) = &scene.scan {
         hash_path(scan, &mut hasher).with_context(|| scan.to_string())?;
@@ -283,6 +303,9 @@ fn content(scene: &SuiteScene, configuration: &Configuration) -> anyhow::Result<
     if configuration.source != Source::Parsed {
         let annotations = scene.annotations.as_ref().map(Sealed::for_reader);
         hasher.update(format!("{annotations:?} {:?}", scene.recorded));
+    }
+    if configuration.paper_compatible {
+        tasks.iter().for_each(|task| hasher.update(format!("{:?}", task.hints.for_reader())));
     }
     Ok(hex(&hasher.finalize()))
 }
@@ -298,6 +321,10 @@ fn hash_path(path: &Utf8Path, hasher: &mut Sha256) -> std::io::Result<()> {
             hasher.update(entry.file_name().unwrap_or_default());
             hash_path(&entry, hasher)?;
         }
+        return Ok(());
+    }
+    // Pipes and devices are no part of a scan, and may never end.
+    if !path.metadata()?.is_file() {
         return Ok(());
     }
     let mut file = File::open(path)?;
@@ -318,9 +345,13 @@ fn hex(bytes: &[u8]) -> String {
     bytes.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
 }
 
-/// A scene's id as a file name.
+/// A scene's id as a file name: readable, short, and of this id alone.
 fn file_safe(id: &str) -> String {
-    id.chars()
-        .map(|c| if c.is_alphanumeric() || matches!(c, '-' | '_' | '.' | '#') { c } else { '_' })
-        .collect()
+    const READABLE_CHARS: usize = 60;
+    let readable: String = id
+        .chars()
+        .take(READABLE_CHARS)
+        .map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' })
+        .collect();
+    format!("{readable}-{}", digest(id.as_bytes()))
 }

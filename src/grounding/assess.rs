@@ -142,6 +142,10 @@ impl<'a> Looked<'a> {
             let fits = trait_fits(instances, &self.solids, &nouns, asked);
             own.iter_mut().zip(fits).for_each(|(score, fit)| *score *= fit);
         }
+        for head in &phrase.other_things {
+            let others = noun_fits(instances, &Phrase { head: head.clone(), ..Phrase::default() });
+            own.iter_mut().zip(others).for_each(|(score, other)| *score *= 1.0 - 0.95 * other);
+        }
         for with in &phrase.with {
             self.apply_with(with, &mut own);
         }

@@ -209,11 +209,13 @@ fn a_table_that_was_paid_for_is_computed_again_from_tape() {
     };
     assert_eq!(figures("a"), figures("c"));
     assert!(figures("c")["vlm_calls"] == 1.0 && figures("c")["cost_usd"].as_f64().unwrap() > 0.0, "{}", figures("c"));
-    // A question that is not on the tape fails, and counts as the grammar's.
+    // A question that is not on the tape fails, and is told; it is no answer of the grammar's.
     fs::write(&tape, fs::read_to_string(&tape).unwrap().lines().take(1).map(|l| format!("{l}\n")).collect::<String>()).unwrap();
     let partly = eval(&root.join("d"), &["--replay", tape.as_str()]);
     assert!(partly.status.success(), "{}", String::from_utf8_lossy(&partly.stderr));
-    assert!(figures("d")["vlm_calls"].as_f64().unwrap() < 0.1, "{}", figures("d"));
+    assert_eq!(figures("d")["failed"], 18, "{}", figures("d"));
+    let told = String::from_utf8_lossy(&partly.stderr).into_owned();
+    assert!(told.contains("18 of 19 questions failed") && told.contains("the tape has no answer"), "{told}");
     // A tape that is none is named by its line.
     fs::write(&tape, "{}\n{}\n").unwrap();
     let broken = eval(&root.join("e"), &["--replay", tape.as_str()]);

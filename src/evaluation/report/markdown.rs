@@ -95,7 +95,8 @@ fn row(name: &str, f: &Figures) -> String {
     let has_targets = f.complete[0].of > 0;
     let [any, _] = f.any_instance;
     format!(
-        "| {name} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
+        "| {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} | {} |",
+        name.replace(['|', '\n', '<'], " "),
         f.expressions,
         interval(&f.complete[0]),
         interval(&f.complete[1]),

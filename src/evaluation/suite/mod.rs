@@ -152,6 +152,9 @@ impl Suite {
     /// When there is nothing to score: an unreadable path, an unknown layout, or no usable expression (the reasons are in the message).
     pub fn open(path: &Utf8Path, options: &SuiteOptions) -> anyhow::Result<Self> {
         ensure!(path.exists(), "{path}: there is no such file or folder");
+        if let Some(file) = &options.label_map {
+            ensure!(file.is_file(), "{file}: there is no such label map");
+        }
         let mut collected = Collected::default();
         if path.is_dir() {
             read_folder(path, &mut collected)?;
@@ -195,8 +198,11 @@ fn read_folder(folder: &Utf8Path, collected: &mut Collected) -> anyhow::Result<(
     for file in entries(folder)? {
         let name = file.file_name().unwrap_or_default();
         if name.ends_with(".queries.json") || name == "suite.json" {
-            read_file(&file, &SuiteOptions::default(), collected)?;
             found = true;
+            // One file that can not be read must not take the others along.
+            if let Err(error) = read_file(&file, &SuiteOptions::default(), collected) {
+                collected.omissions.push(Omission::new(&file, None, format!("{error:#}")));
+            }
         }
     }
     found |= task_folders::read_below(folder, collected)?;
@@ -213,7 +219,10 @@ fn entries(folder: &Utf8Path) -> anyhow::Result<Vec<Utf8PathBuf>> {
 }
 
 fn read_file(file: &Utf8Path, options: &SuiteOptions, collected: &mut Collected) -> anyhow::Result<()> {
-    let text = fs::read_to_string(file).with_context(|| file.to_string())?;
+    let text = fs::read_to_string(file)
+        .with_context(|| file.to_string())?
+        .trim_start_matches('\u{feff}')
+        .to_owned();
     let labels = options.label_map.as_deref().map(LabelMap::read).transpose()?;
     if file.extension().is_some_and(|e| e.eq_ignore_ascii_case("csv")) {
         return tables::read(file, &text, collected);

@@ -6,6 +6,7 @@ use crate::geometry::boxes::Aabb;
 use anyhow::Context;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
+use serde_json::Value;
 use serde_json::value::RawValue;
 
 #[derive(Deserialize)]
@@ -13,8 +14,9 @@ struct QueryRecord {
     id: Option<String>,
     scene: Option<String>,
     query: String,
-    /// Absent or `null`: no such object, unless there is a box.
-    target_id: Option<u32>,
+    /// `null`: no such object. Left out, there must be a box.
+    #[serde(default = "left_out")]
+    target_id: Value,
     target_box: Option<Aabb>,
     target_name: Option<String>,
     kind: Option<String>,
@@ -36,6 +38,26 @@ struct SceneEntry {
     id: String,
     scan: Option<Utf8PathBuf>,
     annotations: Option<Utf8PathBuf>,
+}
+
+/// Stands for a `target_id` that is not there, which is not the same as `null`.
+fn left_out() -> Value {
+    Value::Bool(false)
+}
+
+fn target(id: &Value, aabb: Option<Aabb>) -> Result<RawTarget, String> {
+    match (id, aabb) {
+        (Value::Number(id), _) => {
+            let id = id.as_u64().and_then(|id| u32::try_from(id).ok());
+            id.map(RawTarget::Id).ok_or_else(|| "target_id is not an object's number".into())
+        }
+        (Value::Null | Value::Bool(false), Some(aabb)) => Ok(RawTarget::Box(aabb)),
+        (Value::Null, None) => Ok(RawTarget::Absent),
+        (Value::Bool(false), None) => {
+            Err("there is neither target_id nor target_box; \"target_id\": null says there is no such object".into())
+        }
+        _ => Err("target_id is not an object's number".into()),
+    }
 }
 
 const SUITE_FORMAT: &str = "uniground-suite/1";
@@ -73,11 +95,7 @@ fn read(file: &Utf8Path, records: &[Record], scene: Option<&str>, collected: &mu
                 id: query.id.unwrap_or_else(|| format!("{scene}#{}", i + 1)),
                 scene,
                 query: query.query,
-                target: match (query.target_id, query.target_box) {
-                    (Some(id), _) => RawTarget::Id(id),
-                    (None, Some(aabb)) => RawTarget::Box(aabb),
-                    (None, None) => RawTarget::Absent,
-                },
+                target: target(&query.target_id, query.target_box).map_err(|what| Omission::new(file, record.line, what))?,
                 target_name: query.target_name,
                 uniqueness: query.unique.map(|unique| if unique { "unique" } else { "multiple" }),
                 splits: query.kind.map(|kind| format!("kind: {kind}")).into_iter().collect(),

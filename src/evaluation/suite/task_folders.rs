@@ -4,7 +4,7 @@
 //! of the run that wrote the folder; its `target_id: null` in `gt.json` says that run missed the target, which says nothing of ours.
 
 use super::{Collected, RawTarget, RawTask, SceneFiles, entries};
-use crate::evaluation::annotations::{Annotations, SceneObject};
+use crate::evaluation::annotations::{Annotations, SceneObject, check_box};
 use crate::evaluation::records::Omission;
 use crate::geometry::boxes::Aabb;
 use crate::geometry::{Point3, Vector3};
@@ -58,7 +58,7 @@ pub(super) fn read_below(root: &Utf8Path, collected: &mut Collected) -> anyhow::
     while let Some((folder, depth)) = folders.pop() {
         if folder.join("task.json").is_file() {
             found = true;
-            let name = folder.strip_prefix(root).unwrap_or(&folder).as_str().replace('/', "-");
+            let name = folder.strip_prefix(root).unwrap_or(&folder).to_string();
             let name = if name.is_empty() { "task".to_owned() } else { name };
             match read(&folder, &name) {
                 Ok((task, files)) => {
@@ -86,7 +86,7 @@ fn read(folder: &Utf8Path, name: &str) -> Result<(RawTask, SceneFiles), Omission
     let scan = task.scene_id.or(task.scan_id);
     let truth_file = folder.join("gt.json");
     let truth: TruthRecord = json(&truth_file)?;
-    let target = z_up(&truth.gt_bbox).map_err(|what| Omission::new(&truth_file, None, format!("gt_bbox {what}")))?;
+    let target = z_up(&truth.gt_bbox).map_err(|what| Omission::new(&truth_file, None, format!("gt_bbox: {what}")))?;
     let cloud = folder.join("full_pcd.ply");
     let files = SceneFiles { scan: cloud.is_file().then_some(cloud), annotations: None, recorded: candidates(folder)? };
     let task = RawTask {
@@ -117,8 +117,8 @@ fn candidates(folder: &Utf8Path) -> Result<Option<Annotations>, Omission> {
     let records: BTreeMap<String, CandidateRecord> = json(&file)?;
     let mut objects = Vec::new();
     for (id, candidate) in records {
-        let told = |what: String| Omission::new(&file, None, format!("candidate {id:?} {what}"));
-        let number = id.parse().map_err(|_| told("is not numbered".into()))?;
+        let told = |what: String| Omission::new(&file, None, format!("candidate {id:?}: {what}"));
+        let number = id.parse().map_err(|_| told("it is not numbered".into()))?;
         let aabb = z_up(&candidate.bbox).map_err(told)?;
         objects.push(SceneObject {
             id: number,
@@ -154,8 +154,11 @@ fn anchors(folder: &Utf8Path) -> Result<Vec<(String, Aabb)>, Omission> {
 /// `[x, y, z, dx, dy, dz]` of a Y-up world, in ours: `(x, -z, y)`, extents swapped alike. Further numbers are ignored.
 fn z_up(numbers: &[f32]) -> Result<Aabb, String> {
     match *numbers {
-        [x, y, z, dx, dy, dz, ..] => Ok(Aabb { center: Point3::new(x, -z, y), size: Vector3::new(dx, dz, dy) }),
-        _ => Err(format!("has {} numbers, expected 6", numbers.len())),
+        [x, y, z, dx, dy, dz, ..] => {
+            let aabb = Aabb { center: Point3::new(x, -z, y), size: Vector3::new(dx, dz, dy) };
+            check_box(&aabb).map(|()| aabb)
+        }
+        _ => Err(format!("the box has {} numbers, expected 6", numbers.len())),
     }
 }
 

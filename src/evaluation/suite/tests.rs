@@ -46,6 +46,7 @@ fn query_lists_are_joined_with_annotations_and_bad_ones_are_told() {
  {"query": "the lamp", "target_id": 9},
  {"query": "  ", "target_id": 2},
  {"query": 7},
+ {"query": "the red sofa", "targetid": 7},
  {"query": "a shelf", "target_box": {"center": [0, 0, 1], "size": [1, 0.3, 2]}},
  {"query": "a ghost", "target_box": {"center": [0, 0, 1], "size": [1, -1, 2]}}
 ]"#,
@@ -53,7 +54,7 @@ fn query_lists_are_joined_with_annotations_and_bad_ones_are_told() {
         ("other.queries.json", r#"[{"query": "the sofa", "target_id": 1}]"#),
     ]);
     let suite = Suite::open(&root, &SuiteOptions::default()).unwrap();
-    assert_eq!(suite.tasks.iter().map(|t| t.id.as_str()).collect::<Vec<_>>(), ["room#1", "room#2", "left", "room#8"]);
+    assert_eq!(suite.tasks.iter().map(|t| t.id.as_str()).collect::<Vec<_>>(), ["room#1", "room#2", "left", "room#9"]);
     assert!(matches!(target(&suite.tasks[0]), Target::Object { name: Some(name), .. } if name == "table"));
     assert_eq!(target(&suite.tasks[1]), &Target::Absent);
     let uniqueness: Vec<_> = suite.tasks.iter().map(|t| t.truth.for_reader().uniqueness).collect();
@@ -61,12 +62,13 @@ fn query_lists_are_joined_with_annotations_and_bad_ones_are_told() {
     assert_eq!(suite.tasks[0].truth.for_reader().splits, ["kind: unique"]);
     let told = told(&suite);
     assert!(told[0].starts_with("room.queries.json:8 query: invalid type"), "{told:?}");
-    assert!(told[1].starts_with("other.queries.json:1 the scene other is missing"), "{told:?}");
-    assert!(told[2].starts_with("room.queries.json:5 the id left is taken by"), "{told:?}");
-    assert_eq!(told[3], "room.queries.json:6 target 9 is not in the annotations of room");
-    assert_eq!(told[4], "room.queries.json:7 the query is empty");
-    assert!(told[5].starts_with("room.queries.json:10 the box has no volume"), "{told:?}");
-    assert_eq!(told.len(), 6);
+    assert!(told[1].starts_with("room.queries.json:9 there is neither target_id nor target_box"), "{told:?}");
+    assert!(told[2].starts_with("other.queries.json:1 the scene other is missing"), "{told:?}");
+    assert!(told[3].starts_with("room.queries.json:5 the id left is taken by"), "{told:?}");
+    assert_eq!(told[4], "room.queries.json:6 target 9 is not in the annotations of room");
+    assert_eq!(told[5], "room.queries.json:7 the query is empty");
+    assert!(told[6].starts_with("room.queries.json:11 the box has no volume"), "{told:?}");
+    assert_eq!(told.len(), 7);
 }
 
 #[test]
@@ -221,7 +223,9 @@ fn what_can_not_be_scored_at_all_is_an_error_that_says_why() {
 
 #[test]
 fn a_sample_depends_on_ids_and_seed_alone() {
-    let expressions: String = (0..50).map(|i| format!("{}{{\"query\": \"q{i}\"}}", if i > 0 { "," } else { "" })).collect();
+    let expressions: String = (0..50)
+        .map(|i| format!("{}{{\"query\": \"q{i}\", \"target_id\": null}}", if i > 0 { "," } else { "" }))
+        .collect();
     let (_keep, root) = folder(&[("room.scene.json", ROOM), ("room.queries.json", &format!("[{expressions}]"))]);
     let suite = open(&root, "room.queries.json");
     let ids = |suite: Suite| suite.tasks.into_iter().map(|t| t.id).collect::<Vec<_>>();

@@ -50,13 +50,16 @@ struct LocalScene {
 }
 
 impl InProcess {
+    /// `tape` is where the model's answers are recorded, if they are.
+    ///
     /// # Errors
     /// When the executable can not be read: what it would answer is known by its bytes.
-    pub fn new(vlm: Option<ChatClient>) -> anyhow::Result<Self> {
+    pub fn new(vlm: Option<ChatClient>, tape: Option<&Utf8Path>) -> anyhow::Result<Self> {
         let executable = std::env::current_exe()?;
         let bytes = fs::read(&executable).with_context(|| executable.display().to_string())?;
         let program: String = Sha256::digest(bytes).iter().take(8).map(|byte| format!("{byte:02x}")).collect();
-        let fingerprint = format!("{program} {}", vlm.as_ref().map_or("", |client| client.model()));
+        // What was answered off this tape is not on it.
+        let fingerprint = format!("{program} {} {}", vlm.as_ref().map_or("", |client| client.model()), tape.map_or("", Utf8Path::as_str));
         let vlm = match vlm {
             Some(client) => {
                 let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
@@ -84,6 +87,10 @@ impl System for InProcess {
             "parser=vlm: no vision-language model is configured"
         );
         Ok(())
+    }
+
+    fn still_has(&self, _: &str) -> bool {
+        true // Everything a reply depends on is in the fingerprint and the content.
     }
 
     fn enter(&self, scene: &SuiteScene, configuration: &Configuration) -> anyhow::Result<Box<dyn OpenScene>> {
@@ -146,7 +153,11 @@ impl OpenScene for LocalScene {
         let start = Instant::now();
         let (grounding, usage) = match (&self.vlm, configuration.parser) {
             (Some(asker), ParserChoice::Vlm) => {
-                let Reading { parsed, calls, cost_usd, fell_back: _ } = asker.runtime.block_on(asker.parser.read(&question.query));
+                let Reading { parsed, calls, cost_usd, fell_back } = asker.runtime.block_on(asker.parser.read(&question.query));
+                // A call that failed is no answer of this configuration: it is told, counted as wrong, and asked again next time.
+                if let Some(why) = fell_back.filter(|_| calls.is_empty()) {
+                    bail!("the model could not be asked: {why}");
+                }
                 let usage = Usage {
                     vlm_calls: calls.len() as u32,
                     prompt_tokens: calls.iter().map(|c| c.prompt_tokens).sum(),
@@ -175,6 +186,10 @@ impl OpenScene for LocalScene {
 
     fn boxes(&self) -> &[Aabb] {
         &self.boxes
+    }
+
+    fn token(&self) -> &'static str {
+        ""
     }
 
     fn cloud(&self) -> &PointCloud {

@@ -27,6 +27,9 @@ pub trait System: Sync {
     /// Why it can not.
     fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()>;
 
+    /// Whether it still has the scene that had this [token](OpenScene::token).
+    fn still_has(&self, token: &str) -> bool;
+
     /// Brings a scene in, ready for questions.
     ///
     /// # Errors
@@ -44,6 +47,9 @@ pub trait OpenScene: Sync {
 
     /// The boxes of all instances: what no shortlist can do better than.
     fn boxes(&self) -> &[Aabb];
+
+    /// By which the system knows the scene again.
+    fn token(&self) -> &str;
 
     /// For pictures.
     fn cloud(&self) -> &PointCloud;

@@ -10,7 +10,7 @@ use crate::ingest::archive::ArchiveKind;
 use crate::ingest::read_cloud;
 use crate::jobs::JobState;
 use crate::scene::PointCloud;
-use crate::service::{GroundRequest, ParsePreset, ShortlistRequest};
+use crate::service::{GroundRequest, ParsePreset, Scene, ShortlistRequest};
 use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use reqwest::Body;
@@ -34,6 +34,7 @@ struct RemoteScene {
     client: Client,
     runtime: Arc<Runtime>,
     id: String,
+    token: String,
     boxes: Vec<Aabb>,
     cloud: PointCloud,
 }
@@ -66,6 +67,11 @@ impl System for Server {
         Ok(())
     }
 
+    fn still_has(&self, token: &str) -> bool {
+        let id = token.split(' ').next().unwrap_or_default();
+        self.runtime.block_on(self.client.scene(id)).is_ok_and(|scene| token_of(&scene) == token)
+    }
+
     fn enter(&self, scene: &SuiteScene, _: &Configuration) -> anyhow::Result<Box<dyn OpenScene>> {
         let scan = scene.scan.as_deref().with_context(|| format!("the scene {} has no scan", scene.id))?;
         let archive = Archive::of(scan)?;
@@ -89,7 +95,8 @@ impl System for Server {
             let file = Utf8Path::from_path(folder.path()).context("the temporary folder is no text")?.join("cloud.ply");
             fs::write(&file, cloud)?;
             let cloud = read_cloud(&file)?;
-            let scene = RemoteScene { client: self.client.clone(), runtime: self.runtime.clone(), id, boxes, cloud };
+            let token = token_of(&self.client.scene(&id).await?);
+            let scene = RemoteScene { token, client: self.client.clone(), runtime: self.runtime.clone(), id, boxes, cloud };
             Ok(Box::new(scene) as Box<dyn OpenScene>)
         })
     }
@@ -135,9 +142,18 @@ impl OpenScene for RemoteScene {
         &self.boxes
     }
 
+    fn token(&self) -> &str {
+        &self.token
+    }
+
     fn cloud(&self) -> &PointCloud {
         &self.cloud
     }
+}
+
+/// A scene and what it was parsed with: a scene that is gone, or was parsed again, is another.
+fn token_of(scene: &Scene) -> String {
+    format!("{} {} {:?}", scene.id, scene.parse_version, scene.models)
 }
 
 /// A scan as the server takes it; folders and bare clouds are packed.

@@ -120,6 +120,9 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     let opener = loop {
         let rest = &words[start.min(words.len())..];
         if let Some(length) = OPENERS.iter().filter_map(|opener| begins(rest, opener)).max() {
+            if !names_a_purpose(rest, length) {
+                return None;
+            }
             break length;
         }
         // "please bring me", "find": up to the opener only what carries nothing.
@@ -142,6 +145,14 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     let uses = found.into_iter().take_while(|(fit, _)| *fit == best).map(|(_, spoken)| spoken.to_owned()).collect();
     let words = clause.iter().filter(|word| !PARTICLES.contains(word)).map(|word| (*word).to_owned()).collect();
     Some(Affordance { uses, words, taken: end })
+}
+
+/// Whether a thing is followed by what it is for, soon: "something soft to sit on", not "the thing on the table".
+fn names_a_purpose(words: &[&str], opener: usize) -> bool {
+    const SOON: usize = 3;
+    let is_thing = matches!(words[opener - 1], "something" | "anything" | "thing" | "things" | "object" | "item" | "device");
+    let purpose = |word: &&str| matches!(*word, "to" | "that" | "which" | "for" | "i" | "you" | "we" | "used" | "with");
+    !is_thing || words[opener..].iter().take(SOON).any(purpose)
 }
 
 fn begins(words: &[&str], opener: &str) -> Option<usize> {
@@ -195,7 +206,15 @@ mod tests {
 
     #[test]
     fn names_are_no_purposes() {
-        for query in ["the chair", "find the table to the left", "something red", "what is on the table", "where is the backpack?", ""] {
+        for query in [
+            "the chair",
+            "find the table to the left",
+            "something red",
+            "what is on the table",
+            "where is the backpack?",
+            "the thing in the middle of the dining table",
+            "",
+        ] {
             assert_eq!(find(&tokens(query)), None, "{query}");
         }
     }

@@ -1,7 +1,7 @@
 //! Words to phrases: a left-to-right reading with a stack of open phrases, the innermost on top.
 
 use super::affordances::{self, Affordance};
-use super::pieces::{Piece, address, is_bare_noun, is_filler, pieces};
+use super::pieces::{Piece, address, is_bare_noun, is_filler, pieces, structural};
 use super::tokens::{spelling, tokens};
 use super::words::{self, Meaning};
 use super::{Look, Measure, ParsedQuery, Phrase, Relation, RelationKind, Superlative, Viewpoint, With};
@@ -71,6 +71,10 @@ struct Reader {
     target: Option<Phrase>,
     relations: u32,
     negated: bool,
+    /// Whether the last colour was one it must not have: "not red or white".
+    last_negated: bool,
+    /// Nouns the target must not be.
+    other_things: Vec<String>,
     ordinal: Option<u32>,
     number: Option<u32>,
     /// "of" stands between two nouns.
@@ -78,6 +82,8 @@ struct Reader {
     same: bool,
     /// "the closest chair to": what the noun is compared by stands in front of it.
     compared: Option<(RelationKind, u32, String)>,
+    /// Relations to where somebody stands, who may be told of later.
+    from_here: Vec<Relation>,
     /// A new sentence about something else than the target begins.
     there_is: bool,
 }
@@ -91,11 +97,14 @@ impl Reader {
             target: None,
             relations: 0,
             negated: false,
+            last_negated: false,
+            other_things: Vec::new(),
             ordinal: None,
             number: None,
             of: false,
             same: false,
             compared: None,
+            from_here: Vec::new(),
             there_is: false,
         };
         if let Some(found) = affordance {
@@ -121,6 +130,23 @@ impl Reader {
             self.query.not_understood.push(format!("number {rank}"));
         }
         let mut target = self.target.unwrap_or_default();
+        target.other_things.append(&mut self.other_things);
+        // "the chair beside the green one": another chair.
+        for anchor in target
+            .relations
+            .iter_mut()
+            .flat_map(|r| &mut r.anchors)
+            .filter(|a| matches!(a.head.as_str(), "one" | "ones"))
+        {
+            anchor.head.clone_from(&target.head);
+        }
+        match &self.query.standpoint {
+            Some(here) => {
+                let placed = self.from_here.into_iter().map(|r| Relation { anchors: vec![here.clone()], ..r });
+                target.relations.extend(placed);
+            }
+            None => self.query.not_understood.extend(self.from_here.into_iter().map(|r| r.text)),
+        }
         // "facing the desk with two monitors, the monitor on the left": one of those two.
         if let Some(viewpoint) = &self.query.viewpoint
             && viewpoint.anchor.with.iter().any(|with| same_thing(&with.phrase, &target))
@@ -145,6 +171,18 @@ impl Reader {
 
     fn noun(&mut self, head: &str, rest: &[Piece]) {
         let (of, number) = (std::mem::take(&mut self.of), self.number.take());
+        // "not the chair by the door" speaks of the relation, "not the armchair" of the noun.
+        let relation_follows = rest.iter().find(|piece| !is_filler(piece)).is_some_and(|piece| {
+            matches!(
+                piece,
+                Piece::Word(Meaning::Relation(_) | Meaning::Colour(_) | Meaning::With { .. } | Meaning::Superlative(_), _)
+            )
+        });
+        if self.negated && !relation_follows && !words::is_anything(head) {
+            self.negated = false;
+            self.other_things.push(head.to_owned());
+            return;
+        }
         let frame = self.top();
         frame.phrase.count = number.or(frame.phrase.count);
         let before = frame.phrase.head.clone();
@@ -168,22 +206,13 @@ impl Reader {
         }
         let unknown = std::mem::take(&mut frame.unknown);
         frame.phrase.unchecked.extend(unknown);
-        // "not the chair by the door" speaks of the relation, "not the chair" of nothing that can be used.
-        let relation_follows = rest.iter().find(|piece| !is_filler(piece)).is_some_and(|piece| {
-            matches!(
-                piece,
-                Piece::Word(Meaning::Relation(_) | Meaning::Colour(_) | Meaning::With { .. } | Meaning::Superlative(_), _)
-            )
-        });
-        if self.negated && !relation_follows {
-            self.negated = false;
-            self.query.not_understood.push("not".into());
-        }
     }
 
     fn word(&mut self, meaning: Meaning, text: &str, rest: &[Piece]) {
         match meaning {
-            Meaning::Relation(kind) if kind.is_comparison() && is_bare_noun(rest) => {
+            Meaning::Relation(kind)
+                if kind.is_comparison() && (is_bare_noun(rest) || matches!(rest.first(), Some(Piece::Word(Meaning::Of, _)))) =>
+            {
                 let rank = self.ordinal.take().unwrap_or(1);
                 self.compared = Some((kind, rank, text.to_owned()));
             }
@@ -203,7 +232,7 @@ impl Reader {
             Meaning::View(look) => self.view(look, text),
             Meaning::Entering => {
                 let anchor = Phrase { head: "door".into(), ..Phrase::default() };
-                self.query.viewpoint = Some(Viewpoint { look: Look::From, anchor });
+                self.looked(Look::From, anchor);
             }
             Meaning::Superlative(measure) => self.superlative(measure, text, rest),
             Meaning::FromSide(measure) => {
@@ -212,15 +241,28 @@ impl Reader {
             }
             Meaning::Ordinal(rank) => self.ordinal = Some(rank),
             Meaning::Number(count) => self.number = Some(count),
+            Meaning::Or => self.negated = self.last_negated,
+            Meaning::Bare => {
+                self.push(Role::With { absent: true });
+                "thing".clone_into(&mut self.top().phrase.head);
+                self.pop();
+            }
+            Meaning::Side(measure) => {
+                let kind = if measure == Measure::Leftmost { RelationKind::LeftOf } else { RelationKind::RightOf };
+                self.relation(kind, text);
+                self.pronoun();
+            }
             Meaning::Colour(colour) => {
                 let negated = std::mem::take(&mut self.negated);
+                self.last_negated = negated;
                 let phrase = &mut self.top().phrase;
                 if negated { phrase.other_than.push(colour) } else { phrase.colours.push(colour) }
             }
             Meaning::Trait(seen) => self.top().phrase.traits.push(seen),
             Meaning::Not => self.negated = true,
             Meaning::And => self.and(),
-            Meaning::Of => self.of = true,
+            // "the closest of the chairs" asks for a chair.
+            Meaning::Of => self.of = self.compared.is_none(),
             Meaning::Same => self.same = true,
             Meaning::As => {
                 if std::mem::take(&mut self.same) {
@@ -233,6 +275,12 @@ impl Reader {
                     self.ordinal = Some(rank);
                     self.relation(kind, &format!("{words} {text}"));
                 }
+            }
+            // "when you look at the tv from the sofa"
+            Meaning::Filler if text == "from" && self.stack.last().is_some_and(|f| matches!(f.role, Role::View(Look::Facing))) => {
+                let keep = usize::from(self.stack.first().is_some_and(|f| !matches!(f.role, Role::View(_)) && !f.phrase.is_empty()));
+                self.unwind(keep);
+                self.push(Role::View(Look::From));
             }
             // "fetch the cup from the shelf"
             Meaning::Filler
@@ -266,6 +314,14 @@ impl Reader {
         if self.stack.is_empty() {
             self.top();
         }
+        // The floor has no place of its own: "on the floor next to the sofa" speaks of the thing.
+        if self
+            .stack
+            .last()
+            .is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && structural(&f.phrase.head))
+        {
+            self.unwind(1);
+        }
         // Comparisons single out the target; the rest belongs to the last thing, or to the target, by reading.
         if self.stack.len() > 1 && (self.attach == Attach::Target || kind.is_comparison() || self.stack[0].phrase.is_empty()) {
             self.unwind(1);
@@ -287,9 +343,18 @@ impl Reader {
 
     /// "facing the window, the curtain": how somebody looks; after a noun ("the chair facing the window") a relation of that thing.
     fn view(&mut self, look: Look, text: &str) {
-        let of_a_thing = text == "facing" && self.stack.last().is_some_and(|f| !f.phrase.head.is_empty());
-        if of_a_thing {
-            return self.relation(RelationKind::Facing, text);
+        // "the chair facing the window", "the chair standing by the door": of the thing, not of somebody.
+        let after_noun = self.stack.last().is_some_and(|f| f.role != Role::View(Look::From) && !f.phrase.head.is_empty());
+        let somebody = ["you", "i ", "when", "while", "seen", "viewed", "perspective", "view", "your", "my", "as "]
+            .iter()
+            .any(|word| text.contains(word));
+        if after_noun && !somebody {
+            let kind = if text == "facing" || text == "facing towards" || text == "facing toward" {
+                RelationKind::Facing
+            } else {
+                RelationKind::Near
+            };
+            return self.relation(kind, text);
         }
         let keep = usize::from(self.stack.first().is_some_and(|f| !f.phrase.is_empty()));
         self.unwind(keep);
@@ -308,8 +373,21 @@ impl Reader {
             Measure::Lowest | Measure::Middle => Some(RelationKind::Inside),
             _ => None,
         };
+        // "the back of the chair" is the chair.
+        if followed_by_of && text.starts_with("the ") && self.stack.last().is_none_or(Frame::is_empty) {
+            return;
+        }
         if let Some(kind) = side.filter(|_| followed_by_of) {
             return self.relation(kind, text);
+        }
+        // "from the door, the first chair on the left": of those to the left, the one met first.
+        if let Some(kind) = side.filter(|k| matches!(k, RelationKind::LeftOf | RelationKind::RightOf))
+            && self.query.standpoint.is_some()
+            && let Some(rank) = self.ordinal.take()
+        {
+            let relation = |kind, rank| Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated: false, rank };
+            self.from_here.extend([relation(kind, 1), relation(RelationKind::Closest, rank)]);
+            return;
         }
         let rank = self.ordinal.take().unwrap_or(1);
         let superlative = Some(Superlative { measure, rank });
@@ -351,8 +429,10 @@ impl Reader {
     /// A comma or full stop. After it a new phrase may begin; relations go on about the target.
     fn pause(&mut self) {
         self.unwind(0);
-        // "the nearest chair": to whom? Only an observer would know.
-        self.query.not_understood.extend(self.compared.take().map(|(_, _, words)| words));
+        // "the nearest chair": to somebody who stands there, if one does.
+        if let Some((kind, rank, text)) = self.compared.take() {
+            self.from_here.push(Relation { kind, text, anchors: Vec::new(), negated: false, rank });
+        }
         (self.negated, self.of, self.same, self.number, self.there_is) = (false, false, false, None, false);
     }
 
@@ -377,6 +457,16 @@ impl Reader {
     /// Closes the innermost phrase and puts it where it belongs.
     fn pop(&mut self) {
         let Some(Frame { mut phrase, role, unknown, another: _ }) = self.stack.pop() else { return };
+        // "the nearer of the two": compared with what? With where somebody stands.
+        if matches!(role, Role::Anchor { .. })
+            && phrase.is_empty()
+            && unknown.is_empty()
+            && let Some(below) = self.stack.last_mut()
+            && let Some(relation) = below.phrase.relations.pop_if(|r| r.kind.is_comparison() && r.anchors.is_empty())
+        {
+            self.from_here.push(relation);
+            return;
+        }
         self.settle_head(&mut phrase, unknown, role);
         if phrase.is_empty() {
             return;
@@ -395,7 +485,18 @@ impl Reader {
                 }
             }
             Role::Surplus => self.query.not_understood.push(phrase.head),
-            Role::View(look) => self.query.viewpoint = Some(Viewpoint { look, anchor: phrase }),
+            Role::View(look) => self.looked(look, phrase),
+        }
+    }
+
+    /// Where somebody stands and what they look at may both be told; what they look at gives the direction.
+    fn looked(&mut self, look: Look, anchor: Phrase) {
+        if look == Look::From {
+            self.query.standpoint = Some(anchor.clone());
+        }
+        let keeps = look == Look::From && self.query.viewpoint.as_ref().is_some_and(|v| v.look != Look::From);
+        if !keeps {
+            self.query.viewpoint = Some(Viewpoint { look, anchor });
         }
     }
 

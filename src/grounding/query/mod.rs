@@ -25,6 +25,8 @@ pub struct ParsedQuery {
     pub other_reading: Option<Phrase>,
     /// Left, right, front and back are those of somebody who looks like this.
     pub viewpoint: Option<Viewpoint>,
+    /// Where that somebody stands, if the words tell: "standing at the door", "from the sofa". What is "nearest" is nearest to it.
+    pub standpoint: Option<Phrase>,
     pub not_understood: Vec<String>,
 }
 
@@ -66,6 +68,8 @@ pub struct Phrase {
     pub head: String,
     /// What it is for: "something to sit on". Words of the lexicon.
     pub uses: Vec<String>,
+    /// Nouns it must not be: "the table that is not the dining table".
+    pub other_things: Vec<String>,
     /// The words the use was said in: "wine" of "something to pour wine from".
     pub purpose: Vec<String>,
     pub colours: Vec<ColourName>,

@@ -65,7 +65,8 @@ fn longest_noun(run: &[&str]) -> Option<usize> {
     (1..=lexicon.longest_words().min(run.len())).rev().find(|&n| is_noun(n))
 }
 
-fn structural(word: &str) -> bool {
+/// Whether a word names a part of the building.
+pub(super) fn structural(word: &str) -> bool {
     matches!(word, "wall" | "walls" | "floor" | "ground" | "ceiling")
 }
 

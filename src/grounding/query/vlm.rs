@@ -120,7 +120,7 @@ pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
             Some(Viewpoint { look, anchor: phrase(anchor, 0, &mut parts)? })
         }
     };
-    Ok(ParsedQuery { target, other_reading: None, viewpoint, not_understood: query.not_understood })
+    Ok(ParsedQuery { target, other_reading: None, viewpoint, standpoint: None, not_understood: query.not_understood })
 }
 
 fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, String> {
@@ -171,6 +171,7 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
     Ok(Phrase {
         head,
         uses,
+        other_things: Vec::new(),
         purpose,
         colours: json.colours.iter().map(colour).collect::<Result<_, _>>()?,
         other_than: json.not_colours.iter().map(colour).collect::<Result<_, _>>()?,

@@ -29,6 +29,12 @@ pub(super) enum Meaning {
     Colour(ColourName),
     Trait(Trait),
     Not,
+    /// "or", "nor": goes on with what was negated.
+    Or,
+    /// "with nothing on it"
+    Bare,
+    /// "to its left": beside what is looked at.
+    Side(Measure),
     /// "and": another anchor of the same relation.
     And,
     /// "of": "the bowl of fruit".
@@ -93,6 +99,9 @@ impl Meaning {
             "colour" => Self::Colour(ColourName::ALL.into_iter().find(|c| c.word() == which)?),
             "trait" => Self::Trait(Trait::ALL.into_iter().find(|t| t.word() == which)?),
             "not" => Self::Not,
+            "or" => Self::Or,
+            "bare" => Self::Bare,
+            "side" => Self::Side(Measure::ALL.into_iter().find(|m| m.word() == which)?),
             "and" => Self::And,
             "of" => Self::Of,
             "of_target" => Self::OfTarget,

@@ -7,11 +7,14 @@ use super::explanation::{explain, explain_tie, relation_words, why_nothing_fits}
 use crate::grounding::Status;
 use crate::grounding::assess::{Assessment, Looked};
 use crate::grounding::direction::Directions;
-use crate::grounding::query::{Meaning, ParsedQuery, Phrase, Viewpoint};
+use crate::grounding::fit::{colours_fit, most_plausible};
+use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Viewpoint};
 use crate::scene::Instance;
 
 /// Below this, the best instance does not fit the target phrase.
 const MIN_FIT: f32 = 0.25;
+/// Below this, no likely thing has the colour asked for.
+const MIN_COLOUR: f32 = 0.42;
 /// Below this, the best instance contradicts the relations.
 const MIN_SCORE: f32 = 0.12;
 /// A rival this close in score is as good.
@@ -24,15 +27,22 @@ const BELIEF_POWER: i32 = 4;
 /// Decides for one question.
 #[must_use]
 pub fn decide(looked: &mut Looked, parsed: &ParsedQuery) -> Verdict {
-    let viewpoint = parsed.viewpoint.as_ref().and_then(|viewpoint| look(looked, viewpoint));
+    let viewpoint = parsed.viewpoint.as_ref().and_then(|viewpoint| look(looked, viewpoint, parsed.standpoint.as_ref()));
     let assessment = looked.assess(&parsed.target);
     let instances = looked.scene.instances;
     let best_fit = assessment.own.iter().copied().fold(0.0, f32::max);
     if best_fit < MIN_FIT {
         return no_match(assessment.own, why_nothing_fits(parsed));
     }
+    if !colours_agree(&assessment, &parsed.target, instances) {
+        return no_match(assessment.own, why_nothing_fits(parsed));
+    }
     let other = parsed.other_reading.as_ref().map(|phrase| looked.assess(phrase));
-    let scores = joint_scores(&assessment, other.as_ref());
+    let mut scores = joint_scores(&assessment, other.as_ref());
+    // "facing the desk, the thing on the left" is not the desk.
+    if let Some(v) = viewpoint.filter(|_| parsed.target.meaning() == Meaning::Anything) {
+        scores[v] = 0.0;
+    }
     let mut order: Vec<usize> = (0..scores.len()).collect();
     order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
     let best = order[0];
@@ -63,11 +73,25 @@ pub fn decide(looked: &mut Looked, parsed: &ParsedQuery) -> Verdict {
 }
 
 /// Turns the directions to those of somebody who looks as the words say; the anchor's index.
-fn look(looked: &mut Looked, viewpoint: &Viewpoint) -> Option<usize> {
+fn look(looked: &mut Looked, viewpoint: &Viewpoint, standpoint: Option<&Phrase>) -> Option<usize> {
     let anchor = looked.best(&viewpoint.anchor)?;
     let center = looked.room().outline.center;
-    looked.directions = Directions::of_look(viewpoint.look, &looked.solids[anchor], &center)?;
+    // Somebody who stands at a thing and looks at another looks along the line between the two.
+    let stands = standpoint
+        .filter(|_| viewpoint.look == Look::Facing)
+        .and_then(|phrase| looked.best(phrase))
+        .filter(|s| *s != anchor);
+    looked.directions = match stands {
+        Some(s) => Directions::looking_along(looked.solids[anchor].center - looked.solids[s].center)?,
+        None => Directions::of_look(viewpoint.look, &looked.solids[anchor], &center)?,
+    };
     Some(anchor)
+}
+
+/// Whether any of the things that may be meant has the colours asked for: kin alone ("orange" for yellow) is not enough to claim one.
+fn colours_agree(assessment: &Assessment, target: &Phrase, instances: &[Instance]) -> bool {
+    let likely = most_plausible(&assessment.nouns, usize::MAX);
+    target.colours.is_empty() || likely.iter().any(|&(i, _)| colours_fit(target, &instances[i]) >= MIN_COLOUR)
 }
 
 /// The better of the two readings, instance by instance.

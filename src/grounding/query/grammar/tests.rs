@@ -83,6 +83,10 @@ fn negation_reaches_what_it_speaks_of() {
         ("the sofa which isn't red", "not red sofa"),
         ("the stool in front of the white bookcase without books", "stool; InFrontOf(white bookcase; without [books])"),
         ("the table that does not have a lamp", "table; without [lamp]"),
+        ("the mug that is neither red nor white", "not red not white mug"),
+        ("the cabinet with nothing on top of it", "cabinet; without [thing]"),
+        ("the chair beside the green one", "chair; Near(green chair)"),
+        ("the plant on the floor next to the sofa", "plant; On(floor); Near(sofa)"),
     ]);
 }
 
@@ -91,10 +95,13 @@ fn somebody_looks() {
     check(&[
         ("facing the window, the curtain on the left", "curtain; Leftmost 1; Facing window"),
         ("the curtain on the right when facing the window", "curtain; Rightmost 1; Facing window"),
-        ("as you walk in, the first chair on the left", "chair; Leftmost 1; From door"),
+        ("as you walk in, the first chair on the left", "chair; LeftOf(door); Closest(door); From door"),
         ("from the perspective of the sofa, the lamp on the right", "lamp; Rightmost 1; From sofa"),
         ("with your back to the door, the desk on the left", "desk; Leftmost 1; BackTo door"),
         ("the chair facing the window", "chair; Facing(window)"),
+        ("standing at the door facing the window, the nearest stool", "stool; Closest(door); Facing window"),
+        ("when you look at the tv from the red sofa, the plant on the right", "plant; Rightmost 1; Facing tv"),
+        ("seen from the sofa, the farther of the two stools", "2 stools; Farthest(sofa); From sofa"),
         ("facing the tv, the bookcase just to the left of it", "bookcase; LeftOf(tv); Facing tv"),
     ]);
 }
@@ -137,6 +144,7 @@ fn attributes_belong_to_their_noun() {
     assert_eq!((parsed.target.colours, parsed.target.traits), (vec![ColourName::Red], vec![Trait::Large]));
     let anchor = &parsed.target.relations[0].anchors[0];
     assert_eq!((&anchor.colours, &anchor.traits), (&vec![ColourName::White], &vec![Trait::Small]));
+    assert_eq!(parse("the table that isn't the dining table").target.other_things, ["dining table"]);
     let both = parse("the orange and black desk");
     assert_eq!(both.target.colours, [ColourName::Orange, ColourName::Black]);
 }
