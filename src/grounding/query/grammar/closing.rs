@@ -1,0 +1,143 @@
+//! Closing phrases: where each belongs, and what the whole comes to.
+
+use super::{Frame, ITSELF, Reader, Role};
+use crate::grounding::query::tokens::spelling;
+use crate::grounding::query::words;
+use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Relation, RelationKind, Viewpoint, With};
+
+impl Reader {
+    /// The query, once every piece is read.
+    pub(super) fn finish(mut self) -> ParsedQuery {
+        let mut target = self.target.unwrap_or_default();
+        target.other_things.append(&mut self.other_things);
+        // "the chair beside the green one": another chair.
+        for anchor in target
+            .relations
+            .iter_mut()
+            .flat_map(|r| &mut r.anchors)
+            .filter(|a| matches!(a.head.as_str(), "one" | "ones"))
+        {
+            anchor.head.clone_from(&target.head);
+        }
+        match &self.query.standpoint {
+            Some(here) => {
+                let placed = self.from_here.into_iter().map(|r| Relation { anchors: vec![here.clone()], ..r });
+                target.relations.extend(placed);
+            }
+            None => self.query.not_understood.extend(self.from_here.into_iter().map(|r| r.text)),
+        }
+        // "facing the desk with two monitors, the monitor on the left": one of those two.
+        if let Some(viewpoint) = &self.query.viewpoint
+            && viewpoint.anchor.with.iter().any(|with| same_thing(&with.phrase, &target))
+        {
+            let anchors = vec![viewpoint.anchor.clone()];
+            target
+                .relations
+                .push(Relation { kind: RelationKind::Near, text: "at".into(), anchors, negated: false, rank: 1 });
+        }
+        self.query.target = target;
+        self.query
+    }
+
+    /// Closes the innermost phrase and puts it where it belongs.
+    pub(super) fn pop(&mut self) {
+        let Some(Frame { mut phrase, role, unknown, another: _ }) = self.stack.pop() else { return };
+        // "the nearer of the two": compared with what? With where somebody stands.
+        if matches!(role, Role::Anchor { .. })
+            && phrase.is_empty()
+            && unknown.is_empty()
+            && let Some(below) = self.stack.last_mut()
+            && let Some(relation) = below.phrase.relations.pop_if(|r| r.kind.is_comparison() && r.anchors.is_empty())
+        {
+            self.from_here.push(relation);
+            return;
+        }
+        self.settle_head(&mut phrase, unknown, role);
+        if phrase.is_empty() {
+            return;
+        }
+        match role {
+            Role::Target => self.target = Some(phrase),
+            Role::More => self.add_to_target(phrase),
+            Role::Anchor { .. } => {
+                if let Some(relation) = self.stack.last_mut().and_then(|below| below.phrase.relations.last_mut()) {
+                    relation.anchors.push(phrase);
+                }
+            }
+            Role::With { absent } => {
+                if let Some(below) = self.stack.last_mut() {
+                    below.phrase.with.push(With { phrase, absent });
+                }
+            }
+            Role::Surplus => self.query.not_understood.push(phrase.head),
+            Role::View(look) => self.looked(look, phrase),
+        }
+    }
+
+    /// Where somebody stands and what they look at may both be told; what they look at gives the direction.
+    pub(super) fn looked(&mut self, look: Look, anchor: Phrase) {
+        if look == Look::From {
+            self.query.standpoint = Some(anchor.clone());
+        }
+        let keeps = look == Look::From && self.query.viewpoint.as_ref().is_some_and(|v| v.look != Look::From);
+        if !keeps {
+            self.query.viewpoint = Some(Viewpoint { look, anchor });
+        }
+    }
+
+    /// A phrase without a known noun ends in a noun that is misspelt, or that nobody knows: "the theremin".
+    fn settle_head(&mut self, phrase: &mut Phrase, mut unknown: Vec<String>, role: Role) {
+        if phrase.head.is_empty() && phrase.uses.is_empty() && role != Role::More {
+            if let Some(word) = unknown.pop() {
+                phrase.head = spelling(&word).map_or(word, str::to_owned);
+            }
+            phrase.unchecked.append(&mut unknown);
+        }
+        self.query.not_understood.append(&mut unknown);
+        if !phrase.head.is_empty() && phrase.meaning() == Meaning::Unknown && phrase.head != ITSELF {
+            self.query.not_understood.push(phrase.head.clone());
+        }
+        self.query.not_understood.extend(phrase.unchecked.iter().cloned());
+    }
+
+    /// A later sentence adds to the target ("it is brown"), or speaks of something that stands in a relation to it.
+    fn add_to_target(&mut self, mut more: Phrase) {
+        let Some(target) = &mut self.target else {
+            self.target = Some(more);
+            return;
+        };
+        let same = words::is_anything(&more.head) || more.head == target.head || same_thing(&more, target);
+        if same {
+            target.colours.append(&mut more.colours);
+            target.other_than.append(&mut more.other_than);
+            target.traits.append(&mut more.traits);
+            target.with.append(&mut more.with);
+            target.relations.append(&mut more.relations);
+            target.superlative = target.superlative.or(more.superlative);
+            if words::is_anything(&target.head) && target.uses.is_empty() && !words::is_anything(&more.head) {
+                target.head = more.head;
+            }
+            return;
+        }
+        let to_target = |r: &Relation| r.anchors.iter().any(|a| a.head == ITSELF || a.head == target.head);
+        let Some(i) = more.relations.iter().position(to_target) else {
+            self.query.not_understood.push(more.head);
+            return;
+        };
+        let Relation { kind, text, negated, .. } = more.relations.remove(i);
+        target
+            .relations
+            .push(Relation { kind: kind.inverse(), text, anchors: vec![more], negated, rank: 1 });
+    }
+}
+
+/// Whether two phrases may name the same thing: "armchair" and "chair".
+fn same_thing(a: &Phrase, b: &Phrase) -> bool {
+    match (a.meaning(), b.meaning()) {
+        (Meaning::Nouns(a), Meaning::Nouns(b)) => match (a.first(), b.first()) {
+            (Some(first), Some(second)) => b.contains(first) || a.contains(second),
+            _ => false,
+        },
+        _ => false,
+    }
+}
