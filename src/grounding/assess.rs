@@ -245,8 +245,8 @@ impl<'a> Looked<'a> {
             if relation.kind == RelationKind::Farthest {
                 order.reverse();
             }
-            for (t, place) in soft_places(&order, fits) {
-                let score = anchor_fit.sqrt() * NEXT_BEST.powf((place - (relation.rank.max(1) - 1) as f32).abs());
+            for (t, place, presence) in soft_places(&order, fits) {
+                let score = presence * anchor_fit.sqrt() * NEXT_BEST.powf((place - (relation.rank.max(1) - 1) as f32).abs());
                 bonds[t] = better(bonds[t], Bond { score, anchor: Some(self.id(a)) });
             }
         }
@@ -271,11 +271,13 @@ impl<'a> Looked<'a> {
         order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         let places = soft_places(&order, scores);
         let asked = match superlative.measure {
-            Measure::Middle => places.last().map_or(0.0, |(_, last)| last / 2.0),
+            Measure::Middle => places.last().map_or(0.0, |(_, last, _)| last / 2.0),
             _ => superlative.rank.max(1) as f32 - 1.0,
         };
         let mut factors = vec![0.0; scores.len()];
-        places.into_iter().for_each(|(t, place)| factors[t] = NEXT_BEST.powf((place - asked).abs()));
+        places
+            .into_iter()
+            .for_each(|(t, place, presence)| factors[t] = presence * NEXT_BEST.powf((place - asked).abs()));
         scores.iter_mut().zip(factors).for_each(|(score, factor)| *score *= factor);
     }
 
@@ -324,14 +326,15 @@ fn better(best: Bond, other: Bond) -> Bond {
     if other.score > best.score { other } else { best }
 }
 
-/// Place of each instance in an order, from 0, where those ahead count by how surely they are what is asked for.
-fn soft_places(order: &[(f32, usize)], fits: &[f32]) -> Vec<(usize, f32)> {
+/// Place of each instance in an order, from 0, where those ahead count by how surely they are what is asked for; with it, how surely
+/// the instance itself is: the largest of everything that might be a table is seldom one.
+fn soft_places(order: &[(f32, usize)], fits: &[f32]) -> Vec<(usize, f32, f32)> {
     let best = order.iter().map(|&(_, t)| fits[t]).fold(f32::EPSILON, f32::max);
     let mut ahead = 0.0;
     let place = |&(_, t): &(f32, usize)| {
-        let place = ahead;
-        ahead += (fits[t] / best).powi(PRESENCE_POWER);
-        (t, place)
+        let (place, presence) = (ahead, (fits[t] / best).powi(PRESENCE_POWER));
+        ahead += presence;
+        (t, place, presence.sqrt())
     };
     order.iter().map(place).collect()
 }
