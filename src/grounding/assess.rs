@@ -245,9 +245,9 @@ impl<'a> Looked<'a> {
             if relation.kind == RelationKind::Farthest {
                 order.reverse();
             }
-            for (t, place, presence) in soft_places(&order, fits) {
-                let score = presence * anchor_fit.sqrt() * NEXT_BEST.powf((place - (relation.rank.max(1) - 1) as f32).abs());
-                bonds[t] = better(bonds[t], Bond { score, anchor: Some(self.id(a)) });
+            let places = soft_places(&order, fits);
+            for (t, factor) in nearness_to(&places, (relation.rank.max(1) - 1) as f32) {
+                bonds[t] = better(bonds[t], Bond { score: anchor_fit.sqrt() * factor, anchor: Some(self.id(a)) });
             }
         }
         bonds
@@ -275,9 +275,7 @@ impl<'a> Looked<'a> {
             _ => superlative.rank.max(1) as f32 - 1.0,
         };
         let mut factors = vec![0.0; scores.len()];
-        places
-            .into_iter()
-            .for_each(|(t, place, presence)| factors[t] = presence * NEXT_BEST.powf((place - asked).abs()));
+        nearness_to(&places, asked).into_iter().for_each(|(t, factor)| factors[t] = factor);
         scores.iter_mut().zip(factors).for_each(|(score, factor)| *score *= factor);
     }
 
@@ -337,4 +335,13 @@ fn soft_places(order: &[(f32, usize)], fits: &[f32]) -> Vec<(usize, f32, f32)> {
         (t, place, presence.sqrt())
     };
     order.iter().map(place).collect()
+}
+
+/// How near each instance stands to the asked place, weighed by how surely it is what is asked for. Something always does best: the
+/// best is 1.
+fn nearness_to(places: &[(usize, f32, f32)], asked: f32) -> Vec<(usize, f32)> {
+    let factor = |&(t, place, presence): &(usize, f32, f32)| (t, presence * NEXT_BEST.powf((place - asked).abs()));
+    let factors: Vec<(usize, f32)> = places.iter().map(factor).collect();
+    let best = factors.iter().map(|f| f.1).fold(f32::EPSILON, f32::max);
+    factors.into_iter().map(|(t, factor)| (t, factor / best)).collect()
 }
