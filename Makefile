@@ -22,7 +22,7 @@ lint: ## Formatting and lints; warnings are errors
 fmt:
 	$(CARGO) fmt
 
-bench: ## All benches: pipelines, questions over HTTP, memory of a 1 GB upload, and the three below
+bench: ## All of cargo's benches: pipelines, language, service, quality of stage 1, superpoints, scale, and ours of bench-peers
 	$(CARGO) bench --locked
 
 bench-quality: ## Both stages against annotated rooms (ROOMS=folder), held against benches/quality.json

@@ -2,14 +2,14 @@
 
 use super::report_page;
 use crate::geometry::up_axis::UpAxis;
-use crate::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use crate::ingest::Unpacked;
 use crate::progress::Progress;
 use crate::scene::{ImportReport, Instance, ParseReport, write_instances_ply};
 use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::scene_parsing::report_pictures;
 use crate::service::{ParsePreset, ParseSettings, ParsedScan, parse_scan};
 use anyhow::{Context, ensure};
-use camino::{Utf8Path, Utf8PathBuf};
+use camino::Utf8PathBuf;
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::{self, IsTerminal, Write};
@@ -17,7 +17,7 @@ use tokio_util::sync::CancellationToken;
 
 #[derive(Debug, clap::Args)]
 pub struct ParseArgs {
-    /// A scan: a folder, or an archive (.zip, .tar, .tar.zst)
+    /// A scan: a folder, an archive (.zip, .tar, .tar.zst), or a cloud (.ply)
     scan: Utf8PathBuf,
     /// Write index.html with pictures of every step, report.json, instances.json and instances.ply here
     #[arg(long, value_name = "FOLDER")]
@@ -63,11 +63,10 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
         fs::create_dir_all(out).with_context(|| format!("--report {out}"))?;
     }
     ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
-    let unpacked = tempfile::tempdir()?;
-    let folder = if args.scan.is_dir() { args.scan.clone() } else { unpack_archive(&args.scan, unpacked.path().try_into()?)? };
+    let folder = Unpacked::of(&args.scan)?;
 
     let progress = Progress::new(show_progress, CancellationToken::new());
-    let scan = parse_scan(&folder, &settings, &Checkpoints::none(), &progress);
+    let scan = parse_scan(&folder.path, &settings, &Checkpoints::none(), &progress);
     show_progress("", 1.0);
     let ParsedScan { import, frames, scene: parsed } = scan?;
 
@@ -96,13 +95,6 @@ fn show_progress(stage: &str, done: f32) {
         let percent = if stage.is_empty() { String::new() } else { format!("{:.1} %", done * 100.0) };
         eprint!("\r{percent:>7} {stage:<24}\r");
     }
-}
-
-fn unpack_archive(archive: &Utf8Path, into: &Utf8Path) -> anyhow::Result<Utf8PathBuf> {
-    let kind =
-        ArchiveKind::of_file_name(archive.as_str()).with_context(|| format!("{archive}: expected a folder, .zip, .tar or .tar.zst"))?;
-    unpack(archive, kind, into, &UnpackLimits::default())?;
-    Ok(into.to_owned())
 }
 
 fn print_summary(out: &mut impl Write, Report { import, parse }: &Report, instances: &[Instance]) -> io::Result<()> {

@@ -1,5 +1,6 @@
 //! `index.html` of `uniground parse --report`: one page that shows what every stage did.
 
+use crate::evaluation::report::escaped;
 use crate::scene::{ImportReport, ParsedScene};
 use crate::scene_parsing::report_pictures::ReportPicture;
 use camino::Utf8Path;
@@ -69,8 +70,4 @@ pub(super) fn render(scan: &Utf8Path, import: &ImportReport, scene: &ParsedScene
     }
     page.push_str("</table></html>\n");
     page
-}
-
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

@@ -1,5 +1,6 @@
 //! Two runs of the same expressions: what flipped, and whether a drop is more than luck.
 
+use super::digest;
 use super::measures::interval;
 use super::report::{CellReport, Report};
 use super::scoring::Outcome;
@@ -7,7 +8,6 @@ use super::segmentation::IOU_THRESHOLDS;
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::fs;
@@ -66,8 +66,7 @@ impl Change {
 /// An expression by id and words: where ids are places in a list, the words tell whether it is still the same one.
 #[must_use]
 pub fn key(outcome: &Outcome) -> String {
-    let digest = Sha256::digest(&outcome.query);
-    format!("{}~{:02x}{:02x}{:02x}", outcome.id, digest[0], digest[1], digest[2])
+    format!("{}~{:.6}", outcome.id, digest::of(outcome.query.as_bytes()))
 }
 
 impl Baseline {

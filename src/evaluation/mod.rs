@@ -7,6 +7,7 @@ pub mod annotated;
 pub mod annotations;
 pub mod comparison;
 pub mod configuration;
+pub mod digest;
 pub mod measures;
 pub mod pictures;
 pub mod records;

@@ -5,6 +5,7 @@
 //! Scores are never kept: they follow from replies and the truth as it is now.
 
 use super::configuration::{Configuration, Source};
+use super::digest;
 use super::pictures;
 use super::reply::Reply;
 use super::scoring::Outcome;
@@ -13,13 +14,13 @@ use super::suite::{Suite, SuiteScene, Task};
 use super::systems::{OpenScene, System};
 use crate::geometry::boxes::Aabb;
 use anyhow::Context;
-use camino::{Utf8Path, Utf8PathBuf};
+use camino::Utf8Path;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use sha2::{Digest, Sha256};
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
-use std::io::{Read, Write};
+use std::io::Write;
 use std::sync::Mutex;
 
 /// What is run, and how.
@@ -138,7 +139,7 @@ struct CellOfScene<'a> {
 
 impl CellOfScene<'_> {
     fn answer(&self, cell: &mut CellResult, open: &mut Option<Entered>) -> anyhow::Result<()> {
-        let key = digest(&serde_json::to_vec(&(self.system.fingerprint(), &cell.configuration))?);
+        let key = digest::of(&serde_json::to_vec(&(self.system.fingerprint(), &cell.configuration))?);
         let file = self.out.join("cells").join(&key).join(format!("{}.jsonl", file_safe(&self.scene.id)));
         let content = match content(self.scene, self.tasks, &cell.configuration) {
             Ok(content) => content,
@@ -205,7 +206,7 @@ impl CellOfScene<'_> {
         let drawn = pictures::boxes(outcome);
         let name = format!(
             "{}.jpg",
-            digest(&serde_json::to_vec(&(key, &outcome.scene, &drawn.iter().map(|b| (&b.aabb, &b.label)).collect::<Vec<_>>()))?)
+            digest::of(&serde_json::to_vec(&(key, &outcome.scene, &drawn.iter().map(|b| (&b.aabb, &b.label)).collect::<Vec<_>>()))?)
         );
         let file = self.out.join(pictures::FOLDER).join(&name);
         if file.metadata().map_or(0, |m| m.len()) == 0 {
@@ -298,7 +299,7 @@ impl ReplyLog {
 fn content(scene: &SuiteScene, tasks: &[&Task], configuration: &Configuration) -> anyhow::Result<String> {
     let mut hasher = Sha256::new();
     if let Some(scan) = &scene.scan {
-        hash_path(scan, &mut hasher).with_context(|| scan.to_string())?;
+        digest::add_path(scan, &mut hasher).with_context(|| scan.to_string())?;
     }
     if configuration.source != Source::Parsed {
         let annotations = scene.annotations.as_ref().map(Sealed::for_reader);
@@ -307,42 +308,7 @@ fn content(scene: &SuiteScene, tasks: &[&Task], configuration: &Configuration) -
     if configuration.paper_compatible {
         tasks.iter().for_each(|task| hasher.update(format!("{:?}", task.hints.for_reader())));
     }
-    Ok(hex(&hasher.finalize()))
-}
-
-fn hash_path(path: &Utf8Path, hasher: &mut Sha256) -> std::io::Result<()> {
-    if path.is_dir() {
-        let mut entries = path
-            .read_dir_utf8()?
-            .map(|e| e.map(camino::Utf8DirEntry::into_path))
-            .collect::<Result<Vec<Utf8PathBuf>, _>>()?;
-        entries.sort();
-        for entry in entries {
-            hasher.update(entry.file_name().unwrap_or_default());
-            hash_path(&entry, hasher)?;
-        }
-        return Ok(());
-    }
-    // Pipes and devices are no part of a scan, and may never end.
-    if !path.metadata()?.is_file() {
-        return Ok(());
-    }
-    let mut file = File::open(path)?;
-    let mut chunk = vec![0; 1 << 16];
-    loop {
-        match file.read(&mut chunk)? {
-            0 => return Ok(()),
-            n => hasher.update(&chunk[..n]),
-        }
-    }
-}
-
-fn digest(bytes: &[u8]) -> String {
-    hex(&Sha256::digest(bytes))
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().take(8).map(|byte| format!("{byte:02x}")).collect()
+    Ok(digest::finish(hasher))
 }
 
 /// A scene's id as a file name: readable, short, and of this id alone.
@@ -353,5 +319,5 @@ fn file_safe(id: &str) -> String {
         .take(READABLE_CHARS)
         .map(|c| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' })
         .collect();
-    format!("{readable}-{}", digest(id.as_bytes()))
+    format!("{readable}-{}", digest::of(id.as_bytes()))
 }

@@ -51,9 +51,8 @@ impl Outcome {
             Ok(ranked) => (Some(ranked), None),
             Err(error) => (None, Some(error)),
         };
-        // A question that failed is finished as well: as an answer of nothing.
-        let nothing = Ranked::of(Reply::nothing());
-        let truth = task.truth.judge(ranked.unwrap_or(&nothing));
+        let failed = Ranked::failed();
+        let truth = task.truth.judge(ranked.unwrap_or(&failed));
         let reply = ranked.map(Ranked::reply);
         let target = match &truth.target {
             Target::Absent => None,

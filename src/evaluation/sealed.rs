@@ -44,7 +44,7 @@ impl<T> Sealed<T> {
         &self.0
     }
 
-    /// The truth within the suite that carries it: readers resolve targets among annotations.
+    /// The truth within the suite that carries it: readers resolve targets among annotations, and kept replies are known by its hash.
     pub(super) fn for_reader(&self) -> &T {
         &self.0
     }
@@ -54,6 +54,11 @@ impl Ranked {
     #[must_use]
     pub fn of(reply: Reply) -> Self {
         Self(reply)
+    }
+
+    /// A question that failed is finished as well: as an answer of nothing.
+    pub(super) fn failed() -> Self {
+        Self(Reply::nothing())
     }
 
     #[must_use]

@@ -12,12 +12,14 @@ mod fusion;
 mod load;
 mod reprojection;
 mod scan;
+mod unpacked;
 mod validate;
 
 pub use error::IngestError;
 pub use fusion::FusionSettings;
 pub use load::{ImportSettings, load, read_cloud};
 pub use scan::Scan;
+pub use unpacked::Unpacked;
 
 use camino::Utf8Path;
 

@@ -151,6 +151,20 @@ pub struct Usage {
     pub cost_usd: f64,
 }
 
+impl Usage {
+    /// What reading a question took.
+    #[must_use]
+    pub fn of(reading: &Reading) -> Self {
+        let calls = &reading.calls;
+        Self {
+            vlm_calls: calls.len() as u32,
+            prompt_tokens: calls.iter().map(|c| c.prompt_tokens).sum(),
+            completion_tokens: calls.iter().map(|c| c.completion_tokens).sum(),
+            cost_usd: reading.cost_usd,
+        }
+    }
+}
+
 /// The answer to a question. `box` is set only when the status is `grounded`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Answer {
@@ -366,7 +380,9 @@ impl Service {
 }
 
 /// Notes the calls that reading the question took.
-fn account(answer: &mut Answer, Reading { parsed: _, calls, cost_usd, fell_back }: Reading) {
+fn account(answer: &mut Answer, reading: Reading) {
+    answer.usage = Usage::of(&reading);
+    let Reading { parsed: _, calls, cost_usd: _, fell_back } = reading;
     let calls: Vec<Call> = calls
         .into_iter()
         .map(|ChatReply { text: _, prompt_tokens, completion_tokens, attempts, latency_ms }| Call {
@@ -377,12 +393,6 @@ fn account(answer: &mut Answer, Reading { parsed: _, calls, cost_usd, fell_back 
             completion_tokens,
         })
         .collect();
-    answer.usage = Usage {
-        vlm_calls: calls.len() as u32,
-        prompt_tokens: calls.iter().map(|c| c.prompt_tokens).sum(),
-        completion_tokens: calls.iter().map(|c| c.completion_tokens).sum(),
-        cost_usd,
-    };
     let corrections = fell_back.map(|why| format!("the built-in parser read the question: {why}"));
     answer.trace = Some(Trace { calls, corrections: corrections.into_iter().collect() });
 }

@@ -120,6 +120,13 @@ fn a_server_gives_the_same_figures_as_the_process() {
     let options = RunOptions { out: &again_out, ..options };
     run(&suite, &system, &options).unwrap();
     assert_eq!(runtime.block_on(server.client.scenes(100, None)).unwrap().scenes.len(), 1);
+    // A server that lost the scene is asked again, though every reply is kept: it might answer otherwise now.
+    let scenes = || runtime.block_on(server.client.scenes(100, None)).unwrap().scenes;
+    let lost = scenes()[0].id.clone();
+    runtime.block_on(server.client.delete_scene(&lost)).unwrap();
+    let asked_again = run(&suite, &system, &options).unwrap();
+    assert!(scenes().len() == 1 && scenes()[0].id != lost);
+    assert_eq!(asked_again[0].outcomes.len(), suite.tasks.len());
     // What only the process can do is refused before anything is asked.
     let oracle = configuration::cells("source=oracle", &Configuration::default()).unwrap();
     let refused = run(&suite, &system, &RunOptions { cells: &oracle, ..options }).unwrap_err();
@@ -197,6 +204,71 @@ fn scenes_that_can_not_be_used_are_left_out_and_told() {
     // Annotations alone are enough for the oracle; a broken scan beside them is not passed over.
     assert_eq!(oracle.outcomes.iter().map(|o| (o.id.as_str(), o.is_right())).collect::<Vec<_>>(), [("bare#1", true)]);
     assert_eq!(oracle.left_out.len(), 1);
+}
+
+/// A room of three boxes in a task folder; the answer of its stage 1 is in `ref.json`, Y-up.
+fn task_folder(root: &Utf8Path, target_name: &str) {
+    let folder = root.join("scene0001_00/1");
+    fs::create_dir_all(&folder).unwrap();
+    let write = |name: &str, text: &str| fs::write(folder.join(name), text).unwrap();
+    let target = "[1.5, 0.4, -2.0, 2.0, 0.8, 0.9]";
+    write(
+        "task.json",
+        &format!(r#"{{"scan_id": "scene0001_00", "target_id": "3", "target_name": "{target_name}", "caption": "the zorgle"}}"#),
+    );
+    write("gt.json", &format!(r#"{{"target_id": 3, "gt_bbox": {target}}}"#));
+    write("ref.json", &format!(r#"{{"3": {{"bbox": {target}}}, "4": {{"bbox": [-1.0, 0.78, 0.0, 0.1, 0.1, 0.1]}}}}"#));
+    write("anchor.json", r#"{"anchor": "door", "bbox": [0, 1, -3, 0.9, 2, 0.1]}"#);
+    let points: Vec<String> = (0..2000_u16)
+        .map(|i| format!("{} {} {} 120 60 60", f32::from(i % 50) * 0.1, f32::from(i / 50) * 0.1, 0.0))
+        .collect();
+    let names = ["float x", "float y", "float z", "uchar red", "uchar green", "uchar blue"]
+        .map(|p| format!("property {p}\n"))
+        .concat();
+    write(
+        "full_pcd.ply",
+        &format!("ply\nformat ascii 1.0\nelement vertex {}\n{names}end_header\n{}\n", points.len(), points.join("\n")),
+    );
+}
+
+#[test]
+fn hints_are_handed_over_in_paper_compatible_runs_only() {
+    let (_keep, root) = folder();
+    let run_with = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
+        let out = root.join("out");
+        let output = command
+            .args(["eval", root.join("tasks").as_str(), "--out", out.as_str(), "--matrix", "source=recorded"])
+            .args(args)
+            .output()
+            .unwrap();
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        Report::read(&out).unwrap()
+    };
+    task_folder(&root.join("tasks"), "sofa");
+    // Nobody knows what a zorgle is, and a leak-free run is not told.
+    let plain = run_with(&[]);
+    assert_eq!((plain.cells[0].figures.expressions, plain.cells[0].figures.complete[0].value), (1, 0.0));
+    assert!(!plain.run.paper_compatible && plain.cells[0].notes.is_empty());
+    let told = run_with(&["--paper-compatible"]);
+    assert_eq!(told.cells[0].figures.complete[0].value, 1.0, "{:?}", told.cells[0].outcomes);
+    assert!(told.run.paper_compatible && told.cells[0].notes[0].contains("paper-compatible"));
+    // Other hints are another question: what was kept does not answer it.
+    task_folder(&root.join("tasks"), "mug");
+    assert_eq!(run_with(&["--paper-compatible"]).cells[0].figures.complete[0].value, 0.0);
+}
+
+#[test]
+fn a_run_that_scores_nothing_fails_and_says_why() {
+    let (_keep, root) = folder();
+    fs::copy(Utf8Path::new(EXAMPLES).join("living_room.scene.json"), root.join("broken.scene.json")).unwrap();
+    fs::write(root.join("broken.zip"), "this is no archive").unwrap();
+    fs::write(root.join("broken.queries.json"), r#"[{"query": "the dining table", "target_id": 19}]"#).unwrap();
+    let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
+    let output = command.args(["eval", root.as_str(), "--out", root.join("out").as_str()]).output().unwrap();
+    assert_eq!(output.status.code(), Some(1));
+    let told = text(&output.stderr);
+    assert!(told.contains("1 of 1 expressions left out") && told.contains("nothing was scored"), "{told}");
 }
 
 #[test]

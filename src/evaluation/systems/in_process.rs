@@ -4,13 +4,14 @@ use super::oracle::{Names, give_name, instances_of};
 use super::{OpenScene, System};
 use crate::evaluation::annotations::Annotations;
 use crate::evaluation::configuration::{Configuration, Source};
+use crate::evaluation::digest;
 use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
 use crate::evaluation::sealed::OracleRun;
 use crate::evaluation::suite::{Expression, Hints, SuiteScene};
 use crate::geometry::boxes::Aabb;
-use crate::grounding::query::{BuiltinParser, QueryParser, Reading, VlmParser};
+use crate::grounding::query::{BuiltinParser, QueryParser, VlmParser};
 use crate::grounding::{self, Question, SceneView};
-use crate::ingest::{self, archive};
+use crate::ingest::{self, Unpacked};
 use crate::models::attributes;
 use crate::models::chat::ChatClient;
 use crate::progress::Progress;
@@ -20,12 +21,10 @@ use crate::scene_parsing::masks::MaskSource;
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
 use crate::service::{self, Models, ParseSettings, ParserChoice, ReasonerChoice, Usage, parse_scan};
 use anyhow::{Context, bail, ensure};
-use camino::{Utf8Path, Utf8PathBuf};
-use sha2::{Digest, Sha256};
+use camino::Utf8Path;
 use std::fs;
 use std::sync::Arc;
 use std::time::Instant;
-use tempfile::TempDir;
 use tokio::runtime::Runtime;
 
 /// The system of this executable.
@@ -57,7 +56,7 @@ impl InProcess {
     pub fn new(vlm: Option<ChatClient>, tape: Option<&Utf8Path>) -> anyhow::Result<Self> {
         let executable = std::env::current_exe()?;
         let bytes = fs::read(&executable).with_context(|| executable.display().to_string())?;
-        let program: String = Sha256::digest(bytes).iter().take(8).map(|byte| format!("{byte:02x}")).collect();
+        let program = digest::of(&bytes);
         // What was answered off this tape is not on it.
         let fingerprint = format!("{program} {} {}", vlm.as_ref().map_or("", |client| client.model()), tape.map_or("", Utf8Path::as_str));
         let vlm = match vlm {
@@ -153,18 +152,13 @@ impl OpenScene for LocalScene {
         let start = Instant::now();
         let (grounding, usage) = match (&self.vlm, configuration.parser) {
             (Some(asker), ParserChoice::Vlm) => {
-                let Reading { parsed, calls, cost_usd, fell_back } = asker.runtime.block_on(asker.parser.read(&question.query));
+                let reading = asker.runtime.block_on(asker.parser.read(&question.query));
+                let usage = Usage::of(&reading);
                 // A call that failed is no answer of this configuration: it is told, counted as wrong, and asked again next time.
-                if let Some(why) = fell_back.filter(|_| calls.is_empty()) {
+                if let Some(why) = reading.fell_back.filter(|_| usage.vlm_calls == 0) {
                     bail!("the model could not be asked: {why}");
                 }
-                let usage = Usage {
-                    vlm_calls: calls.len() as u32,
-                    prompt_tokens: calls.iter().map(|c| c.prompt_tokens).sum(),
-                    completion_tokens: calls.iter().map(|c| c.completion_tokens).sum(),
-                    cost_usd,
-                };
-                (grounding::ground_read(view, &question, parsed, start.elapsed()), usage)
+                (grounding::ground_read(view, &question, reading.parsed, start.elapsed()), usage)
             }
             _ => (grounding::ground(view, &question), Usage::default()),
         };
@@ -208,29 +202,5 @@ impl LocalScene {
             instances.push(anchor);
         }
         instances
-    }
-}
-
-/// A scan as a folder; archives and bare clouds get a temporary one.
-struct Unpacked {
-    path: Utf8PathBuf,
-    _temporary: Option<TempDir>,
-}
-
-impl Unpacked {
-    fn of(scan: &Utf8Path) -> anyhow::Result<Self> {
-        if scan.is_dir() {
-            return Ok(Self { path: scan.to_owned(), _temporary: None });
-        }
-        let temporary = tempfile::tempdir()?;
-        let path: Utf8PathBuf = temporary.path().to_owned().try_into()?;
-        if scan.extension() == Some("ply") {
-            fs::copy(scan, path.join("cloud.ply")).with_context(|| scan.to_string())?;
-        } else if let Some(kind) = archive::ArchiveKind::of_file_name(scan.as_str()) {
-            archive::unpack(scan, kind, &path, &archive::UnpackLimits::default())?;
-        } else {
-            bail!("{scan}: expected a folder, .zip, .tar, .tar.zst or .ply");
-        }
-        Ok(Self { path, _temporary: Some(temporary) })
     }
 }

@@ -3,6 +3,7 @@
 use super::{OpenScene, System};
 use crate::client::Client;
 use crate::evaluation::configuration::{Configuration, Source};
+use crate::evaluation::digest;
 use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
 use crate::evaluation::suite::{Expression, Hints, SuiteScene};
 use crate::geometry::boxes::Aabb;
@@ -10,13 +11,12 @@ use crate::ingest::archive::ArchiveKind;
 use crate::ingest::read_cloud;
 use crate::jobs::JobState;
 use crate::scene::PointCloud;
-use crate::service::{GroundRequest, ParsePreset, Scene, ShortlistRequest};
+use crate::service::{GroundRequest, ParsePreset, ParserChoice, Scene, ShortlistRequest};
 use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use reqwest::Body;
 use sha2::{Digest, Sha256};
 use std::fs::{self, File};
-use std::io::Read;
 use std::sync::Arc;
 use std::time::Instant;
 use tempfile::TempDir;
@@ -122,6 +122,10 @@ impl OpenScene for RemoteScene {
             let start = Instant::now();
             let answer = self.client.ground(&self.id, &request).await?;
             let latency_ms = start.elapsed().as_secs_f64() * 1e3;
+            let fell_back = answer.trace.as_ref().and_then(|trace| trace.corrections.first());
+            if let Some(why) = fell_back.filter(|_| *parser == ParserChoice::Vlm && answer.usage.vlm_calls == 0) {
+                bail!("the model could not be asked: {why}");
+            }
             let shortlist = self.client.shortlist(&self.id, &shortlist).await?;
             Ok(Reply {
                 status: answer.status,
@@ -184,14 +188,7 @@ impl Archive {
 
     fn digest(&self) -> anyhow::Result<String> {
         let mut hasher = Sha256::new();
-        let mut file = File::open(&self.path).with_context(|| self.path.to_string())?;
-        let mut chunk = vec![0; 1 << 16];
-        loop {
-            match file.read(&mut chunk)? {
-                0 => break,
-                n => hasher.update(&chunk[..n]),
-            }
-        }
-        Ok(hasher.finalize().iter().take(16).map(|byte| format!("{byte:02x}")).collect())
+        digest::add_path(&self.path, &mut hasher).with_context(|| self.path.to_string())?;
+        Ok(digest::finish(hasher))
     }
 }

@@ -162,7 +162,9 @@ fn begins(words: &[&str], opener: &str) -> Option<usize> {
 
 /// Whether the clause ends before word `i`: a pause, circumstances, or a relation to some thing.
 fn ends_clause(words: &[&str], i: usize) -> bool {
-    if words[i] == BREAK || CIRCUMSTANCES.contains(&words[i]) {
+    // "something to sit on that is blue": what follows describes the thing.
+    let describes = matches!(words[i..], ["that" | "which", "is" | "are", ..]);
+    if words[i] == BREAK || CIRCUMSTANCES.contains(&words[i]) || describes {
         return true;
     }
     let Some((meaning, length)) = words::longest(&words[i..]) else { return false };
@@ -196,11 +198,22 @@ mod tests {
             ("something that tells me the time", "tell time", ""),
             ("something to read by next to the sofa", "read by", "next to the sofa"),
             ("i want to lie down", "lie on", ""),
+            ("something to sit on that is blue", "sit on", "that is blue"),
             ("could you find this for me: something to sit on", "sit on", ""),
         ] {
             let tokens = tokens(query);
             let found = find(&tokens).unwrap_or_else(|| panic!("{query}"));
             assert_eq!((found.uses.join("|").as_str(), tokens[found.taken..].join(" ").as_str()), (spoken, rest), "{query}");
+        }
+    }
+
+    #[test]
+    fn every_line_of_the_table_is_a_use_of_the_lexicon() {
+        let known: BTreeSet<&str> = Lexicon::get().nouns().iter().flat_map(|noun| noun.uses.iter().map(String::as_str)).collect();
+        for line in include_str!("uses.tsv").lines().filter(|line| !line.starts_with('#')) {
+            let (spoken, others) = line.split_once('\t').unwrap_or_else(|| panic!("{line}"));
+            assert!(known.contains(spoken), "{spoken} is no use of the lexicon");
+            assert!(others.split(',').all(|other| !Wording::of(other.trim()).needed.is_empty()), "{line}");
         }
     }
 

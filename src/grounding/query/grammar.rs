@@ -68,7 +68,7 @@ pub fn parse(query: &str) -> ParsedQuery {
 struct Reader {
     attach: Attach,
     query: ParsedQuery,
-    /// Never empty: the target, or what adds to it, lies at the bottom.
+    /// The target, or what adds to it, lies at the bottom. Empty between clauses.
     stack: Vec<Frame>,
     target: Option<Phrase>,
     relations: u32,

@@ -112,12 +112,10 @@ impl Phrase {
         match self.head.as_str() {
             head if words::is_anything(head) && !self.uses.is_empty() => Meaning::Nouns(Lexicon::get().of_uses(&self.uses)),
             head if words::is_anything(head) => Meaning::Anything,
-            "wall" | "walls" => Meaning::Structure(Structure::Wall),
-            "floor" | "ground" => Meaning::Structure(Structure::Floor),
-            "ceiling" => Meaning::Structure(Structure::Ceiling),
-            head => match Lexicon::get().find_all(head) {
-                nouns if nouns.is_empty() => Meaning::Unknown,
-                nouns => Meaning::Nouns(nouns),
+            head => match (structure_of(head), Lexicon::get().find_all(head)) {
+                (Some(structure), _) => Meaning::Structure(structure),
+                (None, nouns) if nouns.is_empty() => Meaning::Unknown,
+                (None, nouns) => Meaning::Nouns(nouns),
             },
         }
     }
@@ -142,6 +140,16 @@ impl Phrase {
 
     fn is_empty(&self) -> bool {
         *self == Self::default()
+    }
+}
+
+/// The part of the building a word names.
+fn structure_of(word: &str) -> Option<Structure> {
+    match word {
+        "wall" | "walls" => Some(Structure::Wall),
+        "floor" | "ground" => Some(Structure::Floor),
+        "ceiling" => Some(Structure::Ceiling),
+        _ => None,
     }
 }
 

@@ -67,7 +67,7 @@ fn longest_noun(run: &[&str]) -> Option<usize> {
 
 /// Whether a word names a part of the building.
 pub(super) fn structural(word: &str) -> bool {
-    matches!(word, "wall" | "walls" | "floor" | "ground" | "ceiling")
+    super::structure_of(word).is_some()
 }
 
 /// Whether a noun phrase without an article follows: "closest chair", not "closest the chair".

@@ -180,6 +180,13 @@ mod tests {
             ("the mug farthest from the red sofa", 5),
             ("the sofa that is not red", 2),
             ("the mug that is not blue on the table", 4),
+            ("the table with two mugs", 3),
+            ("the mug closest to the table and the red sofa", 4),
+            ("the second closest mug to the blue sofa", 4),
+            ("standing at the blue sofa, the nearest mug", 5),
+            ("as seen from the table, the sofa on the left", 2),
+            ("something to sit on that is blue", 2),
+            ("the sofa, but not the red one", 2),
         ] {
             let answer = ask(query);
             assert_eq!(answer.answer.predicted_id, Some(InstanceId(expected)), "{query}: {}", answer.answer.explanation);

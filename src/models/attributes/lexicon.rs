@@ -268,6 +268,7 @@ fn singulars(word: &str) -> Vec<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::HashSet;
 
     #[test]
     fn every_line_of_the_lexicon_is_an_entry() {
@@ -275,6 +276,27 @@ mod tests {
         for line in lines {
             let noun = read_line(line).unwrap_or_else(|| panic!("not an entry: {line}"));
             assert!(noun.long.high >= noun.short.low, "{line}");
+        }
+    }
+
+    #[test]
+    fn usual_places_are_names_and_no_word_is_two_things() {
+        let nouns = Lexicon::get().nouns();
+        assert!(nouns.len() >= 250, "{}", nouns.len());
+        let names: HashSet<&str> = nouns.iter().map(|noun| noun.name.as_str()).collect();
+        assert_eq!(names.len(), nouns.len());
+        let mut synonyms = HashSet::new();
+        for noun in nouns {
+            for place in &noun.usually_on {
+                assert!(
+                    names.contains(place.as_str()) || ["floor", "wall", "ceiling"].contains(&place.as_str()),
+                    "{}: {place}",
+                    noun.name
+                );
+            }
+            for synonym in &noun.synonyms {
+                assert!(!names.contains(synonym.as_str()) && synonyms.insert(synonym), "{}: {synonym}", noun.name);
+            }
         }
     }
 
