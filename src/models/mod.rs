@@ -1,4 +1,5 @@
-//! Encoders: how instances and words are compared. Built in: [`attributes`].
+//! What knows words and pictures: the built-in lexicon (`attributes`), neural networks (`neural`), chat models (`chat`).
 
 pub mod attributes;
 pub mod chat;
+pub mod neural;

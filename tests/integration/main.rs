@@ -14,6 +14,7 @@ mod evaluation;
 mod language;
 mod layering;
 mod openapi;
+mod real_models;
 mod requests;
 mod restart;
 mod rivals;
