@@ -58,7 +58,7 @@ fn deciding(c: &mut Criterion) {
     for count in [200, 5000] {
         let instances = hall(count);
         let extent = Aabb::around(instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>().iter()).unwrap();
-        let scene = SceneView { instances: &instances, extent };
+        let scene = SceneView { instances: &instances, extent, appearance: None };
         for query in QUESTIONS {
             let question =
                 Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };

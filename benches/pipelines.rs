@@ -52,7 +52,7 @@ fn pipelines(c: &mut Criterion) {
     group.finish();
 
     let mut group = c.benchmark_group("stage 2, sample scene");
-    let scene = SceneView { instances: &parsed.instances, extent: parsed.extent };
+    let scene = SceneView { instances: &parsed.instances, extent: parsed.extent, appearance: None };
     let question =
         |query: &str| Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };
     for query in ["the orange stool", "the bookcase between the red sofa and the desk"] {

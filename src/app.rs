@@ -36,7 +36,16 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         .await
         .with_context(|| format!("the data folder {}", config.data_dir))?;
     let jobs = Jobs::new(store.clone(), config.limits.max_queued_jobs);
-    let service = Service::new(store.clone(), jobs.clone(), config.limits.service_limits(), config.vlm.client(Tape::None)?.map(Arc::new));
+    let models = tokio::task::spawn_blocking({
+        let config = config.models.clone();
+        move || config.load()
+    });
+    let models = models.await??;
+    for model in &models.loaded {
+        tracing::info!(name = model.name, fingerprint = model.fingerprint, runs_on = model.runs_on, "loaded a model");
+    }
+    let vlm = config.vlm.client(Tape::None)?.map(Arc::new);
+    let service = Service::new(store.clone(), jobs.clone(), config.limits.service_limits(), vlm, models);
     let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
 

@@ -2,6 +2,7 @@
 
 use crate::ingest::IngestError;
 use crate::jobs::JobsError;
+use crate::models::neural::ModelError;
 use crate::scene::InstanceId;
 use crate::scene_parsing::ParseError;
 use crate::store::StoreError;
@@ -33,6 +34,10 @@ pub enum Error {
     Invalid { pointer: String, detail: String },
     #[error("no vision-language model is configured; use reasoner \"auto\" or \"builtin\", and parser \"builtin\"")]
     VlmUnavailable,
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    #[error("the scene was parsed with the encoder {parsed_with}, this server has {here}: parse it again, or say \"allow_builtin\"")]
+    EncoderChanged { parsed_with: String, here: String },
     #[error("the question took longer than {seconds} s")]
     QuestionTimedOut { seconds: f32 },
     #[error("too many questions at once")]
@@ -90,6 +95,7 @@ impl Error {
                     | FrameError::WrongSize { .. },
                 ) => "frame_unreadable",
                 ParseError::NoPoints => "cloud_empty",
+                ParseError::Model(_) => "model_failed",
                 ParseError::Cancelled(_) => "cancelled",
             },
             Self::Jobs(error) => match error {
@@ -105,6 +111,8 @@ impl Error {
             Self::SceneNotReady { .. } => "scene_not_ready",
             Self::Invalid { .. } => "invalid_request",
             Self::VlmUnavailable => "vlm_unavailable",
+            Self::Model(_) => "model_failed",
+            Self::EncoderChanged { .. } => "encoder_changed",
             Self::QuestionTimedOut { .. } => "question_timed_out",
             Self::Overloaded => "overloaded",
             Self::UploadTooLarge { .. } => "upload_too_large",

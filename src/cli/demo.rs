@@ -1,13 +1,13 @@
 //! `uniground demo`: the whole job on the sample scene, against a real server on a free loopback port.
 
-use super::{ground, table};
+use super::table;
 use crate::app;
 use crate::client::Client;
-use crate::config::{AccessConfig, LogConfig, LogFormat, ServeConfig};
+use crate::config::{AccessConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig};
 use crate::grounding::Status;
 use crate::ingest::archive::ArchiveKind;
 use crate::jobs::Job;
-use crate::service::{Answer, Scene};
+use crate::service::{Answer, GroundRequest, Scene};
 use crate::store::JobState;
 use crate::telemetry;
 use anyhow::{Context, bail};
@@ -43,6 +43,7 @@ pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
         listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
         data_dir: Utf8PathBuf::try_from(data.path().to_owned())?,
         access: AccessConfig::default(),
+        models: ModelsConfig::default(),
         vlm: crate::config::VlmConfig::default(),
         limits: crate::config::LimitsConfig::default(),
         log: LogConfig { log_format: LogFormat::Text },
@@ -64,7 +65,7 @@ async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
     let questions = if args.questions.is_empty() { &samples } else { &args.questions };
     let mut pictures = Vec::new();
     for (i, question) in questions.iter().enumerate() {
-        let answer = client.ground(&scene.id, &ground::question(question, 5)).await?;
+        let answer = client.ground(&scene.id, &GroundRequest::of(question)).await?;
         println!("{}\n", table::of_answer(&answer));
         if answer.status == Status::Ambiguous {
             println!("{}\n", table::of_alternatives(&answer.alternatives));

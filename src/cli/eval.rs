@@ -1,7 +1,7 @@
 //! `uniground eval`: a suite through the system, and two reports side by side.
 
 use super::Cli;
-use crate::config::VlmConfig;
+use crate::config::{BundlesConfig, VlmConfig};
 use crate::evaluation::comparison::{Baseline, Change, describe, key as comparison_key};
 use crate::evaluation::configuration::{self, Configuration};
 use crate::evaluation::report::{Report, RunFacts};
@@ -61,6 +61,8 @@ struct RunArgs {
     /// Ask a running server instead of this executable (its key: UNIGROUND_API_KEY)
     #[arg(long, value_name = "URL")]
     server: Option<String>,
+    #[command(flatten)]
+    models: BundlesConfig,
     #[command(flatten)]
     vlm: VlmConfig,
     /// Keep every answer of the model on this tape; what is on it already is not asked again
@@ -125,7 +127,7 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     }
     let system: Box<dyn System> = match &args.server {
         Some(address) => Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?),
-        None => Box::new(InProcess::new(vlm_client(args)?, args.record.as_deref())?),
+        None => Box::new(InProcess::new(args.models.clone(), vlm_client(args)?, args.record.as_deref())?),
     };
     suite.omissions.iter().for_each(|omission| eprintln!("left out: {omission}"));
     let run = RunOptions { out: &args.out, cells: &cells, concurrency: args.concurrency.into(), progress: &show_progress };

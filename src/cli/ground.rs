@@ -3,7 +3,7 @@
 use super::table;
 use crate::client::Client;
 use crate::grounding::Status;
-use crate::service::{GroundRequest, ReasonerChoice};
+use crate::service::GroundRequest;
 use std::io::{self, Write};
 
 #[derive(Debug, clap::Args)]
@@ -26,7 +26,7 @@ pub struct GroundArgs {
 
 pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
     let client = Client::new(&args.server, std::env::var("UNIGROUND_API_KEY").ok())?;
-    let answer = client.ground(&args.scene, &question(&args.query, args.top_k)).await?;
+    let answer = client.ground(&args.scene, &GroundRequest { top_k: args.top_k, ..GroundRequest::of(&args.query) }).await?;
     let mut out = io::stdout().lock();
     if args.json {
         writeln!(out, "{}", serde_json::to_string_pretty(&answer)?)?;
@@ -37,20 +37,4 @@ pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
         }
     }
     Ok(())
-}
-
-/// A question with everything else at its default.
-pub(super) fn question(query: &str, top_k: u32) -> GroundRequest {
-    GroundRequest {
-        query: query.to_owned(),
-        top_k,
-        parser: crate::service::ParserChoice::default(),
-        reasoner: ReasonerChoice::default(),
-        ablation: crate::service::Ablation::default(),
-        direction_convention: crate::grounding::direction::DirectionConvention::default(),
-        observer: None,
-        include: None,
-        max_cost_usd: None,
-        timeout_s: None,
-    }
 }

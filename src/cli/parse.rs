@@ -1,13 +1,14 @@
 //! `uniground parse`: stage 1 on a folder or an archive, without a server.
 
 use super::report_page;
+use crate::config::ModelsConfig;
 use crate::geometry::up_axis::UpAxis;
 use crate::ingest::Unpacked;
 use crate::progress::Progress;
 use crate::scene::{ImportReport, Instance, ParseReport, write_instances_ply};
 use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::scene_parsing::report_pictures;
-use crate::service::{ParsePreset, ParseSettings, ParsedScan, parse_scan};
+use crate::service::{ParseModels, ParsePreset, ParseSettings, ParsedScan, parse_scan};
 use anyhow::{Context, ensure};
 use camino::Utf8PathBuf;
 use serde::Serialize;
@@ -19,7 +20,7 @@ use tokio_util::sync::CancellationToken;
 pub struct ParseArgs {
     /// A scan: a folder, an archive (.zip, .tar, .tar.zst), or a cloud (.ply)
     scan: Utf8PathBuf,
-    /// Write index.html with pictures of every step, report.json, instances.json and instances.ply here
+    /// Write index.html with pictures of every step, report.json, instances.json, instances.ply and embeddings.npy here
     #[arg(long, value_name = "FOLDER")]
     report: Option<Utf8PathBuf>,
     /// Where settings start from
@@ -31,6 +32,8 @@ pub struct ParseArgs {
     /// The axis that points up in the scan: x, -x, y, -y, z or -z
     #[arg(long, allow_hyphen_values = true, value_parser = parse_up)]
     up: Option<UpAxis>,
+    #[command(flatten)]
+    models: ModelsConfig,
     /// Print the report as JSON
     #[arg(long)]
     json: bool,
@@ -39,6 +42,7 @@ pub struct ParseArgs {
 #[derive(Serialize)]
 struct Report<'a> {
     import: &'a ImportReport,
+    models: &'a ParseModels,
     parse: &'a ParseReport,
 }
 
@@ -64,16 +68,20 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     }
     ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
     let folder = Unpacked::of(&args.scan)?;
+    let models = args.models.load()?;
 
     let progress = Progress::new(show_progress, CancellationToken::new());
-    let scan = parse_scan(&folder.path, &settings, &Checkpoints::none(), &progress);
+    let scan = parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &progress);
     show_progress("", 1.0);
-    let ParsedScan { import, frames, scene: parsed } = scan?;
+    let ParsedScan { import, frames, scene: parsed, models } = scan?;
 
-    let report = Report { import: &import, parse: &parsed.report };
+    let report = Report { import: &import, models: &models, parse: &parsed.report };
     if let Some(out) = &args.report {
         fs::write(out.join("report.json"), serde_json::to_vec_pretty(&report)?)?;
         fs::write(out.join("instances.json"), serde_json::to_vec_pretty(&parsed.instances)?)?;
+        if let Some(embeddings) = &parsed.embeddings {
+            embeddings.write_rows(File::create(out.join("embeddings.npy"))?)?;
+        }
         write_instances_ply(&parsed, File::create(out.join("instances.ply"))?)?;
         let pictures = report_pictures::render(&parsed, &frames, &Progress::silent())?;
         for picture in &pictures {
@@ -97,12 +105,13 @@ fn show_progress(stage: &str, done: f32) {
     }
 }
 
-fn print_summary(out: &mut impl Write, Report { import, parse }: &Report, instances: &[Instance]) -> io::Result<()> {
+fn print_summary(out: &mut impl Write, Report { import, models, parse }: &Report, instances: &[Instance]) -> io::Result<()> {
     writeln!(
         out,
         "{} frames, {} points, {} superpoints, {} instances ({} structural)",
         parse.frames_used, parse.points, parse.superpoints, parse.instances, parse.structural
     )?;
+    writeln!(out, "masks {}, encoder {}", models.masks, models.encoder)?;
     for stage in &parse.stages {
         let memory = stage.peak_memory_mb.map_or_else(String::new, |mb| format!("{mb:>6} MB"));
         writeln!(out, "  {:<20} {:>7.2} s {memory} {:>9}", stage.stage, stage.seconds, stage.produced)?;

@@ -10,6 +10,7 @@ use crate::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use crate::ingest::{self, ImportSettings};
 use crate::progress::Progress;
 use crate::scene::{Frame, PointCloud, SceneBundle};
+use crate::models::neural::ModelError;
 use crate::scene_parsing::masks::{IdImage, MaskSource};
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
@@ -197,7 +198,7 @@ impl MaskSource for AnnotatedMasks {
         "annotated"
     }
 
-    fn masks(&self, frame: &Frame) -> IdImage {
+    fn masks(&self, frame: &Frame) -> Result<IdImage, ModelError> {
         let (width, height) = (frame.depth.width, frame.depth.height);
         let camera_to_world = frame.depth_camera.world_to_camera().inverse();
         let intrinsics = frame.depth_camera.intrinsics;
@@ -205,6 +206,7 @@ impl MaskSource for AnnotatedMasks {
             0.0 => 0,
             z_m => self.at(&(camera_to_world * intrinsics.unproject(u as f32, v as f32, z_m)), z_m) as u16,
         };
-        IdImage { width, height, ids: (0..height).flat_map(|v| (0..width).map(move |u| (u, v))).map(|(u, v)| at(u, v)).collect() }
+        let ids = (0..height).flat_map(|v| (0..width).map(move |u| (u, v))).map(|(u, v)| at(u, v)).collect();
+        Ok(IdImage { width, height, ids })
     }
 }

@@ -132,7 +132,7 @@ impl<'a> Looked<'a> {
     #[must_use]
     pub fn own_fits(&self, phrase: &Phrase) -> (Vec<f32>, Vec<f32>) {
         let instances = self.scene.instances;
-        let nouns = noun_fits(instances, phrase);
+        let nouns = noun_fits(self.scene, phrase);
         let mut own: Vec<f32> = instances
             .iter()
             .zip(&nouns)
@@ -143,7 +143,7 @@ impl<'a> Looked<'a> {
             own.iter_mut().zip(fits).for_each(|(score, fit)| *score *= fit);
         }
         for head in &phrase.other_things {
-            let others = noun_fits(instances, &Phrase { head: head.clone(), ..Phrase::default() });
+            let others = noun_fits(self.scene, &Phrase { head: head.clone(), ..Phrase::default() });
             own.iter_mut().zip(others).for_each(|(score, other)| *score *= 1.0 - 0.95 * other);
         }
         for with in &phrase.with {

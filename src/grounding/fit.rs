@@ -1,5 +1,6 @@
 //! How well instances fit what a phrase says of the thing itself: noun x colours x traits. Relations are [`assess`](super::assess)'s.
 
+use super::SceneView;
 use super::query::{Meaning, Phrase, Trait};
 use super::solid::Solid;
 use crate::geometry::colour::lab_of_srgb;
@@ -25,12 +26,15 @@ const OPPOSITE_TRAIT: f32 = 0.3;
 
 /// Fit of every instance to a phrase's noun, `0..=1`, by index.
 #[must_use]
-pub fn noun_fits(instances: &[Instance], phrase: &Phrase) -> Vec<f32> {
+pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
     let meaning = phrase.meaning();
-    let fit = |instance: &Instance| match &meaning {
+    let likeness = |word: &str, index: usize, measured| scene.appearance.and_then(|appearance| appearance.fit(word, index, measured));
+    let fit = |(index, instance): (usize, &Instance)| match &meaning {
         Meaning::Nouns(_) | Meaning::Unknown if instance.given_name.is_some() => {
             instance.given_name.as_deref().map_or(0.0, |given| given_name_fit(given, phrase, &meaning))
         }
+        // A word without measures: only its looks tell.
+        Meaning::Unknown if instance.structure.is_none() => likeness(&phrase.head, index, None).unwrap_or(0.0),
         Meaning::Unknown => 0.0,
         Meaning::Anything => {
             if instance.structure.is_none() {
@@ -41,15 +45,19 @@ pub fn noun_fits(instances: &[Instance], phrase: &Phrase) -> Vec<f32> {
         }
         Meaning::Structure(structure) => f32::from(u8::from(instance.structure == Some(*structure))),
         Meaning::Nouns(nouns) => {
-            let fit = nouns
-                .iter()
-                .enumerate()
-                .map(|(i, noun)| noun_fit(noun, instance) * breadth(phrase, noun, i))
-                .fold(0.0, f32::max);
-            fit * among_names(fit, nouns, instance).sqrt()
+            let measured = nouns.iter().map(|noun| noun_fit(noun, instance));
+            let looks = |(noun, measured): (&&Noun, f32)| likeness(&noun.name, index, Some(measured));
+            let (mut by_measure, mut by_looks) = (0.0_f32, None::<f32>);
+            for (i, (noun, measured)) in nouns.iter().zip(measured).enumerate() {
+                let breadth = breadth(phrase, noun, i);
+                by_measure = by_measure.max(measured * breadth);
+                by_looks = looks((noun, measured)).map(|fit| by_looks.map_or(fit * breadth, |best| best.max(fit * breadth))).or(by_looks);
+            }
+            // Looks have been weighed against all other names, measures have not.
+            by_looks.unwrap_or_else(|| by_measure * among_names(by_measure, nouns, instance).sqrt())
         }
     };
-    instances.iter().map(fit).collect()
+    scene.instances.iter().enumerate().map(fit).collect()
 }
 
 /// How likely an instance is one of `nouns` rather than what its other names say: a table may have a sofa's size.

@@ -4,6 +4,7 @@
 //! relations by geometry. The language never changes the geometry.
 
 mod answer;
+mod appearance;
 mod assess;
 pub mod direction;
 mod fit;
@@ -13,6 +14,7 @@ pub mod relations;
 mod shortlist;
 pub mod solid;
 
+pub use appearance::{Appearance, QueryText, ShortlistScoring};
 pub use answer::{Alternative, Grounding, ParsedQuerySummary, SixFields, Status, Timings};
 use assess::Looked;
 use direction::{DirectionConvention, Directions, Observer};
@@ -28,6 +30,8 @@ pub struct SceneView<'a> {
     /// In order of id.
     pub instances: &'a [Instance],
     pub extent: Aabb,
+    /// What the question's words look like beside the instances, where an encoder has seen them.
+    pub appearance: Option<&'a Appearance>,
 }
 
 /// A question.
@@ -42,13 +46,17 @@ pub struct Question {
     pub target_name: Option<String>,
 }
 
-/// The best candidates for a question by names and attributes alone (stage 1 of the question, paper: top-k by the encoder).
+/// The best candidates for a question (stage 1 of the question, paper: top-k by the encoder): by appearance where an encoder has seen
+/// the scene and knows the words, by names and attributes otherwise.
 #[must_use]
-pub fn shortlist(scene: SceneView, query: &str, top_k: usize) -> (query::ParsedQuery, Vec<Candidate>) {
-    let parsed = query::parse(query);
-    let looked = Looked::at(scene, DirectionConvention::Paper.into());
-    let candidates = shortlist::rank(scene, &looked.own_fits(&parsed.target).1, top_k);
-    (parsed, candidates)
+pub fn shortlist(scene: SceneView, parsed: &query::ParsedQuery, top_k: usize) -> Vec<Candidate> {
+    match scene.appearance.and_then(Appearance::shortlist) {
+        Some(scores) => shortlist::rank(scene, scores, top_k),
+        None => {
+            let looked = Looked::at(scene, DirectionConvention::Paper.into());
+            shortlist::rank(scene, &looked.own_fits(&parsed.target).1, top_k)
+        }
+    }
 }
 
 /// Answers a question, read by the built-in grammar.

@@ -130,7 +130,8 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::ReportPictureNotFound { .. }
         | Error::AnswerNotFound { .. } => StatusCode::NOT_FOUND,
         Error::SceneNotReady { .. } => StatusCode::CONFLICT,
-        Error::VlmUnavailable => StatusCode::BAD_GATEWAY,
+        Error::VlmUnavailable | Error::Model(_) => StatusCode::BAD_GATEWAY,
+        Error::EncoderChanged { .. } => StatusCode::CONFLICT,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
         Error::Overloaded => StatusCode::TOO_MANY_REQUESTS,
         Error::UploadTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,

@@ -2,4 +2,5 @@
 
 pub mod attributes;
 pub mod chat;
+pub mod likeness;
 pub mod neural;

@@ -164,6 +164,16 @@ impl InScene for Utf8Path {
 }
 
 impl Frame {
+    /// Where the ray through a depth pixel (column, row) meets the colour picture, pixels; it may lie outside.
+    #[must_use]
+    pub fn color_position(&self, u: f32, v: f32) -> (f32, f32) {
+        let (depth, color) = (&self.depth_camera.intrinsics, &self.color_camera.intrinsics);
+        if depth == color {
+            return (u, v);
+        }
+        ((u - depth.cx) / depth.fx * color.fx + color.cx, (v - depth.cy) / depth.fy * color.fy + color.cy)
+    }
+
     /// Colour of each depth pixel, row-major: the colour image resampled (nearest) onto the depth grid.
     #[must_use]
     pub fn color_on_depth_grid(&self) -> Vec<[u8; 3]> {
@@ -172,12 +182,10 @@ impl Frame {
             return self.color.pixels().map(|p| p.0).collect();
         }
         let clamp = |at: f32, len: u32| (at + 0.5).clamp(0.0, len as f32 - 1.0) as u32;
-        let columns: Vec<u32> = (0..depth.width)
-            .map(|u| clamp((u as f32 - depth.cx) / depth.fx * color.fx + color.cx, color.width))
-            .collect();
+        let columns: Vec<u32> = (0..depth.width).map(|u| clamp(self.color_position(u as f32, 0.0).0, color.width)).collect();
         (0..depth.height)
             .flat_map(|v| {
-                let row = clamp((v as f32 - depth.cy) / depth.fy * color.fy + color.cy, color.height);
+                let row = clamp(self.color_position(0.0, v as f32).1, color.height);
                 columns.iter().map(move |&column| self.color.get_pixel(column, row).0)
             })
             .collect()

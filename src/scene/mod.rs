@@ -6,14 +6,17 @@
 mod bundle;
 mod camera;
 mod cloud;
+mod embeddings;
 mod export;
 mod frame;
 mod instance;
+mod npy;
 mod parsed;
 
 pub use bundle::{ImportReport, PoseConvention, SceneBundle};
 pub use camera::{Camera, Intrinsics, Pixel};
 pub use cloud::PointCloud;
+pub use embeddings::{Embeddings, Norms};
 pub use export::{id_colour, write_cloud_ply, write_instances_ply};
 pub use frame::{DepthImage, Frame, FrameError, FrameIndex, FrameRef, stream_frames};
 pub use instance::{Instance, InstanceId, NameGuess, Structure, Support, View};

@@ -1,6 +1,6 @@
 //! The result of stage 1: a scene cut into instances.
 
-use super::{Instance, InstanceId, PointCloud};
+use super::{Embeddings, Instance, InstanceId, PointCloud};
 use crate::geometry::boxes::Aabb;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -15,6 +15,8 @@ pub struct ParsedScene {
     pub superpoint_of_point: Vec<u32>,
     /// In order of id.
     pub instances: Vec<Instance>,
+    /// What the instances look like, where an encoder has seen them.
+    pub embeddings: Option<Embeddings>,
     pub extent: Aabb,
     pub report: ParseReport,
 }

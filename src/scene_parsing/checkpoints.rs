@@ -38,6 +38,12 @@ impl Checkpoints {
         Self { place: Some(Place { folder: folder.to_owned(), origin: origin.to_owned() }) }
     }
 
+    /// Where logs are kept, if anywhere: on the disk that has room for what a parse needs.
+    #[must_use]
+    pub fn folder(&self) -> Option<&Utf8Path> {
+        self.place.as_ref().map(|place| place.folder.as_path())
+    }
+
     /// The log of a stage that depends on these settings. Logs of the stage under other settings are removed.
     pub fn log<T: Serialize + DeserializeOwned>(&self, stage: &str, depends_on: &impl Serialize) -> Log<T> {
         let Some(Place { folder, origin }) = &self.place else { return Log::nowhere() };

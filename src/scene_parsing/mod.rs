@@ -8,7 +8,9 @@
 //! the same instances, whatever the number of threads.
 
 pub mod affinity;
+pub mod appearance;
 pub mod checkpoints;
+pub mod correction;
 pub mod evidence;
 mod frame_sampling;
 pub mod instances;
@@ -23,10 +25,13 @@ pub mod views;
 pub mod wholes;
 
 use crate::geometry::boxes::Aabb;
-use crate::models::attributes;
+use crate::models::neural::{DualEncoder, ModelError};
+use crate::models::{attributes, likeness};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle, stream_frames};
+use appearance::Labelled;
 use checkpoints::Checkpoints;
+use correction::Corrector;
 use lifting::Lifting;
 use masks::MaskSource;
 pub use settings::ParsingSettings;
@@ -36,10 +41,33 @@ pub use stopwatch::{Outcome, Stopwatch};
 pub enum ParseError {
     #[error(transparent)]
     Frame(#[from] FrameError),
+    #[error(transparent)]
+    Model(#[from] ModelError),
     #[error("the cloud has no points")]
     NoPoints,
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
+}
+
+/// What looks at pictures.
+pub struct Perception<'a> {
+    pub masks: &'a dyn MaskSource,
+    /// A segmenter to be asked about single instances.
+    pub corrector: Option<Corrector<'a>>,
+    /// A model that knows pictures and words.
+    pub encoder: Option<&'a DualEncoder>,
+}
+
+impl<'a> Perception<'a> {
+    /// Masks, and the built-in attributes.
+    #[must_use]
+    pub fn with_masks(masks: &'a dyn MaskSource) -> Self {
+        Self { masks, corrector: None, encoder: None }
+    }
+
+    fn is_neural(&self) -> bool {
+        self.corrector.is_some() || self.encoder.is_some()
+    }
 }
 
 /// Cuts a scene into instances. Stages found in `checkpoints` are taken from there.
@@ -48,7 +76,7 @@ pub enum ParseError {
 /// [`ParseError`]: an unreadable frame (named), an empty cloud, or cancellation.
 pub fn parse(
     bundle: SceneBundle,
-    masks: &dyn MaskSource,
+    perception: &Perception,
     settings: &ParsingSettings,
     checkpoints: &Checkpoints,
     progress: &Progress,
@@ -64,7 +92,9 @@ pub fn parse(
         *outcome = Outcome { produced: superpoints.patches.len(), reused };
         Ok::<_, ParseError>(superpoints)
     })?;
-    let lifted_with = (&settings.superpoints, &settings.frame_sampling, masks.name(), &settings.rgbd_masks, settings.depth_tolerance);
+    let masks = perception.masks;
+    let mask_settings = (masks.name(), &settings.rgbd_masks, &settings.sam_masks);
+    let lifted_with = (&settings.superpoints, &settings.frame_sampling, mask_settings, settings.depth_tolerance);
     let tables = watch.time("masks_and_lifting", |outcome| {
         let lifting =
             Lifting { cloud: &cloud, superpoint_of_point: &superpoints.of_point, masks, depth_tolerance: settings.depth_tolerance };
@@ -90,7 +120,7 @@ pub fn parse(
         Ok::<_, ParseError>(built)
     })?;
 
-    let viewing = progress.part(0.88, 1.0);
+    let viewing = progress.part(0.88, if perception.is_neural() { 0.9 } else { 1.0 });
     let sightings = watch.time("views", |outcome| {
         let mut sightings = Vec::new();
         stream_frames(
@@ -107,8 +137,22 @@ pub fn parse(
         outcome.produced = sightings.len();
         Ok::<_, ParseError>(sightings)
     })?;
+    let looked_at = appearance::choose(&instances, &sightings, &settings.appearance);
     views::choose(&mut instances, sightings, &frames, &settings.views);
+    let rows = match perception.is_neural() {
+        false => Vec::new(),
+        true => watch.time("appearance", |outcome| {
+            let labelled =
+                Labelled { cloud: &cloud, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
+            let looking = progress.part(0.9, 1.0);
+            let (rows, boxes) = appearance::look(&frames, &instances, looked_at, labelled, (perception.corrector.as_ref(), perception.encoder), &settings.appearance, &looking)?;
+            views::tighten(&mut instances, &boxes);
+            outcome.produced = boxes.values().map(std::collections::BTreeMap::len).sum();
+            Ok::<_, ParseError>(rows)
+        })?,
+    };
     attributes::name_all(&mut instances);
+    let embeddings = perception.encoder.map(|encoder| likeness::name_all(&mut instances, encoder, &rows)).transpose()?;
 
     let mut warnings = Vec::new();
     if frames.is_empty() {
@@ -128,7 +172,7 @@ pub fn parse(
         warnings,
     };
     let superpoint_of_point = superpoints.of_point;
-    Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, extent, report })
+    Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, embeddings, extent, report })
 }
 
 fn shortened(names: &[String]) -> String {

@@ -1,8 +1,11 @@
 //! Every number stage 1 depends on. Two presets: `default` (what measures best) and `paper` (every value the paper states).
 
+use super::appearance::AppearanceSettings;
+use super::correction::CorrectionSettings;
 use super::frame_sampling::FrameSamplingSettings;
 use super::instances::InstanceSettings;
 use super::masks::rgbd::RgbdSettings;
+use super::masks::sam::SamSettings;
 use super::merging::MergeSettings;
 use super::superpoints::SuperpointSettings;
 use super::views::ViewSettings;
@@ -18,12 +21,18 @@ pub struct ParsingSettings {
     pub superpoints: SuperpointSettings,
     /// The built-in masks.
     pub rgbd_masks: RgbdSettings,
+    /// Masks of a segmentation model, where the server has one.
+    pub sam_masks: SamSettings,
     /// A point fits the measured depth when `|z - d| <= this * d`. Paper: 0.15, which is loose; 0.05 measures better.
     pub depth_tolerance: f32,
     pub merging: MergeSettings,
     pub wholes: WholeSettings,
     pub instances: InstanceSettings,
     pub views: ViewSettings,
+    /// What a segmentation model does about projections that lost or took along something.
+    pub correction: CorrectionSettings,
+    /// What an encoder looks at, where the server has one.
+    pub appearance: AppearanceSettings,
 }
 
 impl Default for ParsingSettings {
@@ -32,11 +41,14 @@ impl Default for ParsingSettings {
             frame_sampling: FrameSamplingSettings::default(),
             superpoints: SuperpointSettings::default(),
             rgbd_masks: RgbdSettings::default(),
+            sam_masks: SamSettings::default(),
             depth_tolerance: 0.05,
             merging: MergeSettings::default(),
             wholes: WholeSettings::default(),
             instances: InstanceSettings::default(),
             views: ViewSettings::default(),
+            correction: CorrectionSettings::default(),
+            appearance: AppearanceSettings::default(),
         }
     }
 }
@@ -49,6 +61,9 @@ impl ParsingSettings {
             frame_sampling: FrameSamplingSettings { max_frames: None, ..FrameSamplingSettings::default() },
             superpoints: SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..SuperpointSettings::default() },
             depth_tolerance: 0.15,
+            sam_masks: SamSettings::paper(),
+            correction: CorrectionSettings::paper(),
+            appearance: AppearanceSettings::paper(),
             ..Self::default()
         }
     }
@@ -58,11 +73,23 @@ impl ParsingSettings {
     /// # Errors
     /// The pointer and the expectation.
     pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
-        let Self { frame_sampling, superpoints, rgbd_masks, depth_tolerance, merging, wholes, instances, views } = self;
+        let Self {
+            frame_sampling,
+            superpoints,
+            rgbd_masks,
+            sam_masks,
+            depth_tolerance,
+            merging,
+            wholes,
+            instances,
+            views,
+            correction,
+            appearance,
+        } = self;
         let positive = |v: f32| v.is_finite() && v > 0.0;
         let share = |v: f32| (0.0..=1.0).contains(&v);
         let weight = |v: f32| v.is_finite() && v >= 0.0;
-        let rules: [(&str, bool, &str); 36] = [
+        let rules: [(&str, bool, &str); 50] = [
             ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
             ("/frame_sampling/max_frames", frame_sampling.max_frames != Some(0), "at least 1, or null"),
             ("/superpoints/voxel_m", (0.001..=10.0).contains(&superpoints.voxel_m), "0.001 to 10 metres"),
@@ -87,6 +114,14 @@ impl ParsingSettings {
             ("/rgbd_masks/join_colour", positive(rgbd_masks.join_colour), "above 0"),
             ("/rgbd_masks/join_concave_deg", positive(rgbd_masks.join_concave_deg), "above 0"),
             ("/rgbd_masks/plane_area_m2", weight(rgbd_masks.plane_area_m2), "0 or more"),
+            ("/sam_masks/points_per_side", (1..=128).contains(&sam_masks.points_per_side), "1 to 128"),
+            ("/sam_masks/min_predicted_iou", sam_masks.min_predicted_iou.is_finite(), "a number"),
+            ("/sam_masks/min_stability", share(sam_masks.min_stability), "0 to 1"),
+            ("/sam_masks/stability_margin", weight(sam_masks.stability_margin), "0 or more"),
+            ("/sam_masks/max_overlap", share(sam_masks.max_overlap), "0 to 1"),
+            ("/sam_masks/min_area", share(sam_masks.min_area), "0 to 1"),
+            ("/sam_masks/max_area", share(sam_masks.max_area), "0 to 1"),
+            ("/sam_masks/max_masks", (1..=65_535).contains(&sam_masks.max_masks), "1 to 65535"),
             ("/depth_tolerance", (0.0..1.0).contains(depth_tolerance), "0 to 1"),
             (
                 "/merging/thresholds",
@@ -107,6 +142,12 @@ impl ParsingSettings {
             ("/instances/stray_voxel_m", (0.001..=10.0).contains(&instances.stray_voxel_m), "0.001 to 10 metres"),
             ("/views/min_share_of_best", share(views.min_share_of_best), "0 to 1"),
             ("/views/count", (1..=16).contains(&views.count), "1 to 16"),
+            ("/correction/rounds", correction.rounds <= 100, "at most 100"),
+            ("/correction/points", (1..=100).contains(&correction.points), "1 to 100"),
+            ("/correction/min_agreement", share(correction.min_agreement), "0 to 1"),
+            ("/appearance/views", (1..=100).contains(&appearance.views), "1 to 100"),
+            ("/appearance/min_visible", share(appearance.min_visible), "0 to 1"),
+            ("/appearance/levels", (1..=16).contains(&appearance.levels) && share(appearance.level_step), "1 to 16, steps of 0 to 1"),
         ];
         rules
             .into_iter()

@@ -1,5 +1,6 @@
 //! Evidence views: the frames that show an instance best, from different sides (paper: 3).
 
+use super::appearance::Boxes;
 use crate::geometry::Point3;
 use crate::geometry::statistics::quantile;
 use crate::scene::{Camera, Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View};
@@ -29,11 +30,9 @@ pub struct Sighting {
     pub view: View,
 }
 
-/// Every instance this frame shows, in order of id.
-///
-/// The box in the picture is robust: the outermost 1 % of the visible points at each side are left out.
+/// The visible points of every instance this frame shows, sorted by instance, then column and row in its colour picture.
 #[must_use]
-pub fn sightings(cloud: &PointCloud, instance_of_point: &[InstanceId], frame: &Frame, depth_tolerance: f32) -> Vec<Sighting> {
+pub fn visible_pixels(cloud: &PointCloud, instance_of_point: &[InstanceId], frame: &Frame, depth_tolerance: f32) -> Vec<(InstanceId, f32, f32)> {
     let mut hits: Vec<(InstanceId, f32, f32)> = cloud
         .positions
         .par_iter()
@@ -48,6 +47,15 @@ pub fn sightings(cloud: &PointCloud, instance_of_point: &[InstanceId], frame: &F
         })
         .collect();
     hits.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2)));
+    hits
+}
+
+/// Every instance this frame shows, in order of id.
+///
+/// The box in the picture is robust: the outermost 1 % of the visible points at each side are left out.
+#[must_use]
+pub fn sightings(cloud: &PointCloud, instance_of_point: &[InstanceId], frame: &Frame, depth_tolerance: f32) -> Vec<Sighting> {
+    let hits = visible_pixels(cloud, instance_of_point, frame, depth_tolerance);
     let (width, height) = frame.color.dimensions();
     hits.chunk_by(|a, b| a.0 == b.0)
         .map(|hits| {
@@ -81,6 +89,17 @@ pub fn choose(instances: &mut [Instance], sightings: Vec<Sighting>, frames: &[Fr
         };
         instance.views = spread(seen, settings, center);
     });
+}
+
+/// Takes over boxes that a segmenter has corrected.
+pub fn tighten(instances: &mut [Instance], boxes: &Boxes) {
+    for instance in instances {
+        for view in &mut instance.views {
+            if let Some(tight) = boxes.get(&view.frame).and_then(|of_frame| of_frame.get(&instance.id)) {
+                view.box_px = *tight;
+            }
+        }
+    }
 }
 
 fn spread(mut seen: Vec<View>, settings: &ViewSettings, center: impl Fn(FrameIndex) -> Point3<f32>) -> Vec<View> {

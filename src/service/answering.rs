@@ -2,13 +2,20 @@
 
 use super::Service;
 use super::cache::LoadedParse;
-use super::parsing::ParseModels;
+use super::parsing::{EMBEDDINGS_FILE, NORMS_FILE, ParseModels};
 use crate::error::Error;
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::grounding::direction::{DirectionConvention, Observer};
-use crate::grounding::query::{BuiltinParser, QueryParser, Reading, VlmParser};
-use crate::grounding::{self, Alternative, Candidate, Grounding, ParsedQuerySummary, Question, SceneView, SixFields, Status, Timings};
+use crate::grounding::query::{BuiltinParser, ParsedQuery, QueryParser, Reading, VlmParser};
+use crate::grounding::{
+    self, Alternative, Appearance, Candidate, Grounding, ParsedQuerySummary, QueryText, Question, SceneView, ShortlistScoring, SixFields, Status,
+    Timings,
+};
+use crate::models::attributes;
 use crate::models::chat::ChatReply;
+use crate::models::neural::{Models as NeuralModels, Role};
+use crate::scene::Embeddings;
+use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -81,6 +88,9 @@ pub struct GroundRequest {
     pub direction_convention: DirectionConvention,
     /// Left, right, front and back as seen by this observer.
     pub observer: Option<Observer>,
+    /// Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`.
+    #[serde(default)]
+    pub allow_builtin: bool,
     /// Optional parts to send back; all when left out.
     pub include: Option<Vec<Include>>,
     /// Most this question may cost; the built-in reasoner costs nothing.
@@ -100,6 +110,24 @@ pub struct ShortlistRequest {
     #[serde(default = "default_top_k")]
     #[schema(minimum = 1, maximum = 100, default = 5)]
     pub top_k: u32,
+    /// Which words are compared with the instances, where an encoder has seen them.
+    #[serde(default)]
+    pub query_text: QueryText,
+    /// Scores are likelihoods against a vocabulary instead of cosines.
+    #[serde(default)]
+    pub calibrated: bool,
+    /// Where the encoder fails, or is not the one the scene was parsed with, rank by names and measures.
+    #[serde(default)]
+    pub allow_builtin: bool,
+}
+
+impl ShortlistRequest {
+    /// A query with everything else at its default.
+    #[must_use]
+    pub fn of(query: impl Into<String>) -> Self {
+        let (query, top_k) = (query.into(), default_top_k());
+        Self { query, top_k, query_text: QueryText::default(), calibrated: false, allow_builtin: false }
+    }
 }
 
 fn default_top_k() -> u32 {
@@ -185,6 +213,9 @@ pub struct Answer {
     pub alternatives: Vec<Alternative>,
     pub parsed_query: ParsedQuerySummary,
     pub models: Models,
+    /// A built-in part took the place of a model that could not be used; `trace.corrections` says why.
+    #[serde(default)]
+    pub degraded: bool,
     pub direction_convention: String,
     pub frame: CoordinateFrame,
     /// Paths of the pictures that go with the answer.
@@ -203,6 +234,8 @@ pub struct Shortlisted {
     /// Best first; instances that do not fit at all are left out.
     pub candidates: Vec<Candidate>,
     pub encoder: String,
+    /// The sentence is longer than the encoder reads: its end does not count.
+    pub cut: bool,
 }
 
 /// Name and version, recorded with answers.
@@ -214,6 +247,24 @@ const MAX_TIMEOUT_S: f32 = 3600.0;
 const PATIENCE: Duration = Duration::from_secs(2);
 
 impl GroundRequest {
+    /// A question with everything else at its default.
+    #[must_use]
+    pub fn of(query: impl Into<String>) -> Self {
+        Self {
+            query: query.into(),
+            top_k: default_top_k(),
+            parser: ParserChoice::default(),
+            reasoner: ReasonerChoice::default(),
+            ablation: Ablation::default(),
+            direction_convention: DirectionConvention::default(),
+            observer: None,
+            allow_builtin: false,
+            include: None,
+            max_cost_usd: None,
+            timeout_s: None,
+        }
+    }
+
     /// # Errors
     /// [`Error::Invalid`] naming the field.
     pub fn check(&self) -> Result<(), Error> {
@@ -274,6 +325,7 @@ impl Service {
         let parser = self.parser(request.parser)?;
         let models =
             Models { masks: parse.masks.clone(), encoder: parse.encoder.clone(), parser: parser.name(), reasoner: BUILTIN_REASONER.into() };
+        let asked = Asked { query: request.query.clone(), scoring: ShortlistScoring::default(), allow_builtin: request.allow_builtin };
         let unpaid = request.max_cost_usd == Some(0.0);
         let work = async {
             let start = Instant::now();
@@ -282,10 +334,11 @@ impl Service {
                 false => parser.read(&request.query).await,
             };
             let (parsed, took) = (reading.parsed.clone(), start.elapsed());
-            let grounding = self.computed(parse, move |scene| grounding::ground_read(scene, &question, parsed, took)).await?;
-            Ok::<_, Error>((grounding, reading))
+            let decide = move |scene: SceneView, parsed| grounding::ground_read(scene, &question, parsed, took);
+            let (grounding, seen) = self.computed(parse, asked, parsed, decide).await?;
+            Ok::<_, Error>((grounding, seen, reading))
         };
-        let (grounding, reading) = match request.timeout_s {
+        let (grounding, seen, reading) = match request.timeout_s {
             Some(seconds) => timeout(Duration::from_secs_f32(seconds), work)
                 .await
                 .map_err(|_| Error::QuestionTimedOut { seconds })??,
@@ -293,6 +346,7 @@ impl Service {
         };
         let mut answer = dress(grounding, scene.id, u32::try_from(scene.parse_version).unwrap_or(0), models);
         account(&mut answer, reading);
+        seen.note(&mut answer);
         if !self
             .store
             .insert_answer(&answer.id, &answer.scene_id, &parse_id, &serde_json::to_string(&answer)?)
@@ -326,10 +380,13 @@ impl Service {
         check_top_k(request.top_k)?;
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let parse = self.loaded_parse(&parse_id).await?;
+        let ShortlistRequest { query, top_k, query_text, calibrated, allow_builtin } = request;
         let encoder = parse.encoder.clone();
-        let (query, top_k) = (request.query.clone(), request.top_k as usize);
-        let (_, candidates) = self.computed(parse, move |scene| grounding::shortlist(scene, &query, top_k)).await?;
-        Ok(Shortlisted { query: request.query, candidates, encoder })
+        let asked = Asked { query: query.clone(), scoring: ShortlistScoring { query_text, calibrated }, allow_builtin };
+        let rank = move |scene: SceneView, parsed: ParsedQuery| grounding::shortlist(scene, &parsed, top_k as usize);
+        let (candidates, seen) = self.computed(parse, asked, grounding::query::parse(&query), rank).await?;
+        let encoder = if seen.missing.is_some() { attributes::NAME.into() } else { encoder };
+        Ok(Shortlisted { query, candidates, encoder, cut: seen.cut })
     }
 
     /// An answer as it was given, whole.
@@ -347,18 +404,27 @@ impl Service {
         turn.ok().and_then(Result::ok).ok_or(Error::Overloaded)
     }
 
-    /// Runs stage 2 work on a blocking thread.
+    /// Runs stage 2 work on a blocking thread, with the question's words embedded where an encoder has seen the scene.
     async fn computed<T: Send + 'static>(
         &self,
         parse: Arc<LoadedParse>,
-        work: impl FnOnce(SceneView) -> T + Send + 'static,
-    ) -> Result<T, Error> {
+        asked: Asked,
+        parsed: ParsedQuery,
+        work: impl FnOnce(SceneView, ParsedQuery) -> T + Send + 'static,
+    ) -> Result<(T, Seen), Error> {
         let permit = self.turn().await?;
+        let models = self.models.clone();
         let result = spawn_blocking(move || {
             let _permit = permit;
-            work(SceneView { instances: &parse.instances, extent: parse.extent })
+            let (appearance, missing) = match appearance(&models, &parse, &asked, &parsed) {
+                Err(error) if asked.allow_builtin => (None, Some(error.to_string())),
+                looked => (looked?, None),
+            };
+            let seen = Seen { missing, cut: appearance.as_ref().is_some_and(|a| a.cut) };
+            let scene = SceneView { instances: &parse.instances, extent: parse.extent, appearance: appearance.as_ref() };
+            Ok((work(scene, parsed), seen))
         });
-        Ok(result.await?)
+        result.await?
     }
 
     pub(super) async fn loaded_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
@@ -368,7 +434,9 @@ impl Service {
         let gone = || Error::SceneNotFound { id: parse_id.into() };
         let row = self.store.parse(parse_id).await?.ok_or_else(gone)?;
         let ParseModels { masks, encoder } = serde_json::from_str(&row.models)?;
+        let folder = self.store.blobs.parse(parse_id);
         let parse = Arc::new(LoadedParse {
+            embeddings: read_embeddings(&folder).await?,
             instances: self.store.instances(parse_id).await?,
             extent: serde_json::from_str(&row.extent)?,
             masks,
@@ -376,6 +444,50 @@ impl Service {
         });
         self.cache.put(parse_id, parse.clone());
         Ok(parse)
+    }
+}
+
+/// What is asked of an encoder.
+struct Asked {
+    query: String,
+    scoring: ShortlistScoring,
+    allow_builtin: bool,
+}
+
+/// How the encoder fared.
+struct Seen {
+    /// Why it took no part, though it should have.
+    missing: Option<String>,
+    cut: bool,
+}
+
+impl Seen {
+    fn note(self, answer: &mut Answer) {
+        let trace = answer.trace.get_or_insert_default();
+        if let Some(why) = self.missing {
+            answer.degraded = true;
+            attributes::NAME.clone_into(&mut answer.models.encoder);
+            trace.corrections.push(format!("names and measures answered, not the encoder: {why}"));
+        }
+    }
+}
+
+/// The question's words beside what the instances look like; nothing where no encoder has seen them.
+fn appearance(models: &NeuralModels, parse: &LoadedParse, asked: &Asked, parsed: &ParsedQuery) -> Result<Option<Appearance>, Error> {
+    let Some(embeddings) = &parse.embeddings else { return Ok(None) };
+    let here = models.label(Role::Encoder).unwrap_or_else(|| attributes::NAME.into());
+    match &models.encoder {
+        Some(encoder) if here == parse.encoder => Ok(Some(Appearance::of(&asked.query, parsed, encoder, embeddings, asked.scoring)?)),
+        _ => Err(Error::EncoderChanged { parsed_with: parse.encoder.clone(), here }),
+    }
+}
+
+async fn read_embeddings(parse: &Utf8Path) -> Result<Option<Embeddings>, Error> {
+    let (rows, norms) = (parse.join(EMBEDDINGS_FILE), parse.join(NORMS_FILE));
+    match tokio::fs::read(&rows).await {
+        Ok(rows) => Ok(Some(Embeddings::read(&rows, &tokio::fs::read(&norms).await?)?)),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error.into()),
     }
 }
 
@@ -427,6 +539,7 @@ fn dress(grounding: Grounding, scene_id: String, parse_version: u32, models: Mod
         alternatives,
         parsed_query,
         models,
+        degraded: false,
         direction_convention,
         frame: CoordinateFrame { up: "z".into(), units: "m".into() },
         trace: Some(Trace::default()),

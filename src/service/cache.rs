@@ -1,7 +1,7 @@
 //! Parsed instances kept in memory, so that a question does not wait for the database.
 
 use crate::geometry::boxes::Aabb;
-use crate::scene::Instance;
+use crate::scene::{Embeddings, Instance};
 use std::sync::{Arc, Mutex, PoisonError};
 
 /// A parse as stage 2 needs it.
@@ -10,6 +10,7 @@ pub(super) struct LoadedParse {
     pub extent: Aabb,
     pub masks: String,
     pub encoder: String,
+    pub embeddings: Option<Embeddings>,
 }
 
 /// Scenes whose instances stay in memory: a few kilobytes an instance.
@@ -50,7 +51,7 @@ mod tests {
     fn the_least_recently_used_parse_leaves_first() {
         let cache = ParseCache::default();
         let extent = Aabb { center: Point3::origin(), size: Vector3::zeros() };
-        let parse = || Arc::new(LoadedParse { instances: Vec::new(), extent, masks: String::new(), encoder: String::new() });
+        let parse = || Arc::new(LoadedParse { instances: Vec::new(), extent, masks: String::new(), encoder: String::new(), embeddings: None });
         (0..CAPACITY).for_each(|i| cache.put(&i.to_string(), parse()));
         assert!(cache.get("0").is_some());
         cache.put("new", parse());

@@ -15,7 +15,7 @@ pub use answering::{
     ShortlistRequest, Shortlisted, Trace, Usage,
 };
 pub use instances::{InstanceList, InstanceView, ViewPicture};
-pub use parsing::{PARSE_JOB, ParseModels, ParsePreset, ParseSettings, ParsedScan, parse_scan};
+pub use parsing::{ModelChoice, PARSE_JOB, ParseModels, PartChoice, ParsePreset, ParseSettings, ParsedScan, parse_scan};
 pub use reports::{ReportPictureLink, SceneReport};
 pub use scenes::{Scene, SceneCounts, SceneList, SceneStatus};
 pub use uploads::NewScene;
@@ -23,6 +23,7 @@ pub use uploads::NewScene;
 use crate::ingest::archive::UnpackLimits;
 use crate::jobs::Jobs;
 use crate::models::chat::ChatClient;
+use crate::models::neural::{LoadedModel, Models as NeuralModels};
 use crate::store::Store;
 use cache::ParseCache;
 use std::sync::Arc;
@@ -47,15 +48,22 @@ pub struct Service {
     questions: Arc<Semaphore>,
     /// A chat model, where one is configured.
     vlm: Option<Arc<ChatClient>>,
+    models: NeuralModels,
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
     content_references: Arc<Mutex<()>>,
 }
 
 impl Service {
     #[must_use]
-    pub fn new(store: Store, jobs: Jobs, limits: Limits, vlm: Option<Arc<ChatClient>>) -> Self {
+    pub fn new(store: Store, jobs: Jobs, limits: Limits, vlm: Option<Arc<ChatClient>>, models: NeuralModels) -> Self {
         let questions = Arc::new(Semaphore::new(limits.max_concurrent_questions));
-        Self { store, jobs, limits, cache: Arc::default(), questions, vlm, content_references: Arc::default() }
+        Self { store, jobs, limits, cache: Arc::default(), questions, vlm, models, content_references: Arc::default() }
+    }
+
+    /// The neural models this server was started with.
+    #[must_use]
+    pub fn loaded_models(&self) -> &[LoadedModel] {
+        &self.models.loaded
     }
 
     #[must_use]

@@ -5,13 +5,16 @@ use crate::error::Error;
 use crate::ingest::{self, ImportSettings};
 use crate::jobs::{Handler, Job, JobContext, JobFailure};
 use crate::models::attributes;
+use crate::models::neural::{Models, Role};
 use crate::progress::Progress;
 use crate::scene::{FrameRef, ImportReport, ParsedScene, write_cloud_ply, write_instances_ply};
 use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::scene_parsing::evidence::{EvidencePicture, Picture};
+use crate::scene_parsing::correction::Corrector;
 use crate::scene_parsing::masks::MaskSource;
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
-use crate::scene_parsing::{self, Outcome, ParseError, ParsingSettings, Stopwatch, evidence, report_pictures};
+use crate::scene_parsing::masks::sam::{EncodedFrames, SamMasks};
+use crate::scene_parsing::{self, Outcome, ParseError, Perception, ParsingSettings, Stopwatch, evidence, report_pictures};
 use crate::store::{NewParse, SceneRow, Scratch};
 use camino::{Utf8Path, Utf8PathBuf};
 use futures::FutureExt;
@@ -26,6 +29,10 @@ use uuid::Uuid;
 /// Name of the job kind.
 pub const PARSE_JOB: &str = "parse";
 
+/// Files of a parse that an encoder took part in.
+pub(super) const EMBEDDINGS_FILE: &str = "embeddings.npy";
+pub(super) const NORMS_FILE: &str = "embedding_norms.npy";
+
 /// Raised when stage 1 changes what it computes: older parses are kept, but not taken for new ones.
 const STAGE_1_VERSION: u32 = 2;
 
@@ -35,6 +42,36 @@ const STAGE_1_VERSION: u32 = 2;
 pub struct ParseSettings {
     pub import: ImportSettings,
     pub parsing: ParsingSettings,
+    pub models: ModelChoice,
+}
+
+/// Which of the server's models take part.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct ModelChoice {
+    pub masks: PartChoice,
+    pub encoder: PartChoice,
+    /// Where a model fails the built-in parts do the work instead, and the report says so. Otherwise the parse fails.
+    pub allow_builtin: bool,
+}
+
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum PartChoice {
+    /// What the server was started with.
+    #[default]
+    Configured,
+    /// The part that needs no model.
+    Builtin,
+}
+
+impl ModelChoice {
+    const BUILTIN: Self = Self { masks: PartChoice::Builtin, encoder: PartChoice::Builtin, allow_builtin: false };
+
+    /// The models that take part.
+    fn of(self, models: &Models) -> Models {
+        models.only(self.masks == PartChoice::Configured, self.encoder == PartChoice::Configured)
+    }
 }
 
 /// Where settings start from; given settings then replace single values.
@@ -53,6 +90,15 @@ pub enum ParsePreset {
 pub struct ParseModels {
     pub masks: String,
     pub encoder: String,
+}
+
+impl ParseModels {
+    fn of(models: &Models) -> Self {
+        Self {
+            masks: models.label(Role::Masks).unwrap_or_else(|| RgbdMasks::default().name().to_owned()),
+            encoder: models.label(Role::Encoder).unwrap_or_else(|| attributes::NAME.to_owned()),
+        }
+    }
 }
 
 #[derive(Serialize, Deserialize)]
@@ -131,14 +177,15 @@ fn merge(base: &mut serde_json::Value, over: serde_json::Value, pointer: &str) -
 struct Finished {
     import: ImportReport,
     parsed: ParsedScene,
+    models: ParseModels,
     blobs: Scratch,
 }
 
 impl Service {
-    /// The models a parse started now is made with.
+    /// The models a parse started now is made with, unless it asks for others.
     #[must_use]
     pub fn parse_models(&self) -> ParseModels {
-        ParseModels { masks: RgbdMasks::default().name().to_owned(), encoder: attributes::NAME.to_owned() }
+        ParseModels::of(&self.models)
     }
 
     /// Parses a scene, in the background. A stored parse of the same content and settings is taken at once.
@@ -179,7 +226,7 @@ impl Service {
     }
 
     async fn stored_parse(&self, scene: &SceneRow, settings: &ParseSettings) -> Result<Option<String>, Error> {
-        let hash = settings.hash(&self.parse_models())?;
+        let hash = settings.hash(&ParseModels::of(&settings.models.of(&self.models)))?;
         Ok(self.store.parse_of(&scene.content_hash, &hash).await?.map(|parse| parse.id))
     }
 
@@ -215,11 +262,10 @@ impl Service {
         let kept_in = self.store.blobs.checkpoints(&scene.content_hash);
         fs::create_dir_all(&kept_in)?;
         let checkpoints = Checkpoints::kept_in(&kept_in, &origin);
-        let job_settings = settings.clone();
-        let Finished { import, parsed, blobs } =
-            spawn_blocking(move || parse_content(&content, &job_settings, &checkpoints, scratch, &progress)).await??;
+        let (job_settings, models) = (settings.clone(), self.models.clone());
+        let parse = move || parse_content(&content, &job_settings, &models, &checkpoints, scratch, &progress);
+        let Finished { import, parsed, models, blobs } = spawn_blocking(parse).await??;
 
-        let models = self.parse_models();
         let id = Uuid::now_v7().to_string();
         self.store.blobs.publish(blobs, &self.store.blobs.parse(&id))?;
         let inserted = self
@@ -255,15 +301,35 @@ pub struct ParsedScan {
     pub import: ImportReport,
     pub frames: Vec<FrameRef>,
     pub scene: ParsedScene,
+    /// What it was made with.
+    pub models: ParseModels,
 }
 
 /// Import and stage 1 of an unpacked archive; blocks, and uses all of rayon's threads.
 ///
 /// # Errors
-/// [`Error`] naming the file or frame at fault, or cancellation.
+/// [`Error`] naming the file, frame or model at fault, or cancellation.
 pub fn parse_scan(
     content: &Utf8Path,
     settings: &ParseSettings,
+    models: &Models,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+) -> Result<ParsedScan, Error> {
+    match parse_with(content, settings, &settings.models.of(models), checkpoints, progress) {
+        Err(Error::Parse(ParseError::Model(error))) if settings.models.allow_builtin => {
+            let mut scan = parse_with(content, settings, &ModelChoice::BUILTIN.of(models), checkpoints, progress)?;
+            scan.scene.report.warnings.push(format!("a model failed and the built-in parts did the work: {error}"));
+            Ok(scan)
+        }
+        parsed => parsed,
+    }
+}
+
+fn parse_with(
+    content: &Utf8Path,
+    settings: &ParseSettings,
+    models: &Models,
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<ParsedScan, Error> {
@@ -279,25 +345,41 @@ pub fn parse_scan(
         Ok::<_, Error>(bundle.with_paths(|path| content.join(path)))
     })?;
     let (import, frames) = (bundle.report.clone(), bundle.frames.clone());
-    let masks = RgbdMasks { settings: settings.parsing.rgbd_masks };
-    let mut scene = scene_parsing::parse(bundle, &masks, &settings.parsing, checkpoints, &progress.part(0.25, 1.0))?;
+    let names = ParseModels::of(models);
+    let parsing = &settings.parsing;
+    let rgbd = RgbdMasks { settings: parsing.rgbd_masks };
+    let max_bytes = u64::from(parsing.sam_masks.cache_mb) << 20;
+    let encoded = models.segmenter.clone().map(|segmenter| EncodedFrames::new(segmenter, checkpoints.folder(), max_bytes)).transpose()?;
+    let sam = encoded.as_ref().map(|frames| SamMasks { frames, settings: parsing.sam_masks, name: names.masks.clone() });
+    let perception = Perception {
+        masks: sam.as_ref().map_or(&rgbd, |sam| sam as &dyn MaskSource),
+        corrector: encoded.as_ref().map(|frames| Corrector { frames, settings: parsing.correction }),
+        encoder: models.encoder.as_deref(),
+    };
+    let mut scene = scene_parsing::parse(bundle, &perception, parsing, checkpoints, &progress.part(0.25, 1.0))?;
     scene.report.stages.splice(0..0, watch.stages);
-    Ok(ParsedScan { import, frames, scene })
+    Ok(ParsedScan { import, frames, scene, models: names })
 }
 
 /// Import and stage 1 from an unpacked archive to files in `blobs`.
 fn parse_content(
     content: &Utf8Path,
     settings: &ParseSettings,
+    models: &Models,
     checkpoints: &Checkpoints,
     blobs: Scratch,
     progress: &Progress,
 ) -> Result<Finished, Error> {
-    let ParsedScan { import, frames, scene: parsed } = parse_scan(content, settings, checkpoints, &progress.part(0.0, 0.8))?;
+    let ParsedScan { import, frames, scene: parsed, models } =
+        parse_scan(content, settings, models, checkpoints, &progress.part(0.0, 0.8))?;
     let writing = progress.part(0.8, 0.85);
     writing.report("write_clouds", 0.0).map_err(ParseError::from)?;
     write_cloud_ply(&parsed.cloud, File::create(blobs.path().join("cloud.ply"))?)?;
     write_instances_ply(&parsed, File::create(blobs.path().join("instances.ply"))?)?;
+    if let Some(embeddings) = &parsed.embeddings {
+        embeddings.write_rows(File::create(blobs.path().join(EMBEDDINGS_FILE))?)?;
+        embeddings.write_norms(File::create(blobs.path().join(NORMS_FILE))?)?;
+    }
     writing.report("draw_report", 0.5).map_err(ParseError::from)?;
     report_files::write(blobs.path(), report_pictures::render(&parsed, &frames, &writing)?)?;
     writing.check().map_err(ParseError::from)?;
@@ -306,7 +388,7 @@ fn parse_content(
     evidence::render(&frames, &parsed.instances, &progress.part(0.85, 1.0), |EvidencePicture { instance, view, picture, jpeg }| {
         Ok::<_, Error>(fs::write(views.join(view_file(instance.0, view, picture)), jpeg)?)
     })?;
-    Ok(Finished { import, parsed, blobs })
+    Ok(Finished { import, parsed, models, blobs })
 }
 
 /// Name of an evidence picture within a parse's `views/`.

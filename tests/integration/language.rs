@@ -46,7 +46,7 @@ fn instances(annotations: &Annotations) -> Vec<Instance> {
 /// Whether an answer is the annotated one; ids of instances follow the order of annotations.
 fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Option<u32>) -> bool {
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
-    let view = SceneView { instances, extent: Aabb::around(&corners).unwrap() };
+    let view = SceneView { instances, extent: Aabb::around(&corners).unwrap(), appearance: None };
     let question = Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };
     let answer = ground(view, &question);
     let chosen = answer.answer.predicted_id.map(|id| known.objects[id.0 as usize - 1].id);
@@ -190,7 +190,7 @@ fn words_that_name_nothing_get_no_box() {
     let Some(rooms) = rooms() else { return };
     let instances = instances(&rooms[0].1.annotations);
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
-    let view = SceneView { instances: &instances, extent: Aabb::around(&corners).unwrap() };
+    let view = SceneView { instances: &instances, extent: Aabb::around(&corners).unwrap(), appearance: None };
     for query in ["?", "the of and", "🪑", "椅子", "'; DROP TABLE scenes; --", "the red chair that is not red", "the"] {
         let question =
             Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };

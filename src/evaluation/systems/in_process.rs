@@ -1,6 +1,6 @@
 //! The pipelines themselves, without a server or a store.
 
-use super::oracle::{Names, give_name, instances_of};
+use super::oracle::{Names, give_name, instances_of, see};
 use super::{OpenScene, System};
 use crate::evaluation::annotations::Annotations;
 use crate::evaluation::configuration::{Configuration, Source};
@@ -9,21 +9,22 @@ use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
 use crate::evaluation::sealed::OracleRun;
 use crate::evaluation::suite::{Expression, Hints, SuiteScene};
 use crate::geometry::boxes::Aabb;
-use crate::grounding::query::{BuiltinParser, QueryParser, VlmParser};
-use crate::grounding::{self, Question, SceneView};
+use crate::config::{BundlesConfig, ModelsConfig};
+use crate::grounding::query::{self, BuiltinParser, QueryParser, VlmParser};
+use crate::grounding::{self, Appearance, Question, SceneView, ShortlistScoring};
 use crate::ingest::{self, Unpacked};
 use crate::models::attributes;
 use crate::models::chat::ChatClient;
+use crate::models::neural::{DualEncoder, Models as NeuralModels, Role};
 use crate::progress::Progress;
-use crate::scene::{Instance, InstanceId, PointCloud};
+use crate::scene::{Embeddings, Instance, InstanceId, ParsedScene, PointCloud};
 use crate::scene_parsing::checkpoints::Checkpoints;
-use crate::scene_parsing::masks::MaskSource;
-use crate::scene_parsing::masks::rgbd::RgbdMasks;
-use crate::service::{self, Models, ParseSettings, ParserChoice, ReasonerChoice, Usage, parse_scan};
+use crate::service::{self, Models, ParseSettings, ParsedScan, ParserChoice, ReasonerChoice, Usage, parse_scan};
 use anyhow::{Context, bail, ensure};
 use camino::Utf8Path;
+use std::collections::HashMap;
 use std::fs;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 use tokio::runtime::Runtime;
 
@@ -31,6 +32,9 @@ use tokio::runtime::Runtime;
 pub struct InProcess {
     fingerprint: String,
     vlm: Option<Arc<Asker>>,
+    bundles: BundlesConfig,
+    /// Loaded models by the names of masks and encoder.
+    loaded: Mutex<HashMap<(String, String), NeuralModels>>,
 }
 
 /// A chat model, and the runtime to speak with it from threads that know of none.
@@ -45,6 +49,8 @@ struct LocalScene {
     extent: Aabb,
     cloud: PointCloud,
     models: Models,
+    /// Where an encoder has seen the scene.
+    seen: Option<(Arc<DualEncoder>, Embeddings)>,
     vlm: Option<Arc<Asker>>,
 }
 
@@ -53,12 +59,12 @@ impl InProcess {
     ///
     /// # Errors
     /// When the executable can not be read: what it would answer is known by its bytes.
-    pub fn new(vlm: Option<ChatClient>, tape: Option<&Utf8Path>) -> anyhow::Result<Self> {
+    pub fn new(bundles: BundlesConfig, vlm: Option<ChatClient>, tape: Option<&Utf8Path>) -> anyhow::Result<Self> {
         let executable = std::env::current_exe()?;
         let bytes = fs::read(&executable).with_context(|| executable.display().to_string())?;
         let program = digest::of(&bytes);
         // What was answered off this tape is not on it.
-        let fingerprint = format!("{program} {} {}", vlm.as_ref().map_or("", |client| client.model()), tape.map_or("", Utf8Path::as_str));
+        let fingerprint = format!("{program} {} {} {}", bundles.models, vlm.as_ref().map_or("", |client| client.model()), tape.map_or("", Utf8Path::as_str));
         let vlm = match vlm {
             Some(client) => {
                 let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
@@ -66,7 +72,20 @@ impl InProcess {
             }
             None => None,
         };
-        Ok(Self { fingerprint, vlm })
+        Ok(Self { fingerprint, vlm, bundles, loaded: Mutex::default() })
+    }
+
+    /// The models a configuration asks for, loaded once.
+    fn models(&self, configuration: &Configuration) -> anyhow::Result<NeuralModels> {
+        let mut loaded = self.loaded.lock().unwrap_or_else(PoisonError::into_inner);
+        let (masks, encoder) = (configuration.masks.clone(), configuration.encoder.clone());
+        if let Some(models) = loaded.get(&(masks.clone(), encoder.clone())) {
+            return Ok(models.clone());
+        }
+        let config = ModelsConfig { masks: masks.clone(), encoder: encoder.clone(), bundles: self.bundles.clone() };
+        let models = config.load()?;
+        loaded.insert((masks, encoder), models.clone());
+        Ok(models)
     }
 }
 
@@ -85,7 +104,8 @@ impl System for InProcess {
             configuration.parser != ParserChoice::Vlm || self.vlm.is_some(),
             "parser=vlm: no vision-language model is configured"
         );
-        Ok(())
+        // Before anything runs: whether the models are there and whole.
+        self.models(configuration).map(drop)
     }
 
     fn still_has(&self, _: &str) -> bool {
@@ -95,53 +115,72 @@ impl System for InProcess {
     fn enter(&self, scene: &SuiteScene, configuration: &Configuration) -> anyhow::Result<Box<dyn OpenScene>> {
         let annotated = |permission| scene.annotations.as_ref().map(|sealed| sealed.as_instances(permission));
         let missing = |what: &str| format!("the scene {} has no {what}", scene.id);
-        let (instances, cloud, extent, masks) = match configuration.source {
+        let models = self.models(configuration)?;
+        let settings = ParseSettings::from_request(configuration.preset, None)?;
+        let known = |annotations: &Annotations, names| boxed(annotations, scene, names, &models, &settings);
+        let Entered { instances, cloud, extent, masks, embeddings } = match configuration.source {
             Source::Parsed => {
                 let scan = scene.scan.as_deref().with_context(|| missing("scan"))?;
                 let folder = Unpacked::of(scan)?;
-                let settings = ParseSettings::from_request(configuration.preset, None)?;
-                let parsed = parse_scan(&folder.path, &settings, &Checkpoints::none(), &Progress::silent())?.scene;
-                (parsed.instances, parsed.cloud, parsed.extent, RgbdMasks::default().name().to_owned())
+                let ParsedScan { scene, models, .. } =
+                    parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &Progress::silent())?;
+                let ParsedScene { instances, cloud, extent, embeddings, .. } = scene;
+                Entered { instances, cloud, extent, masks: models.masks, embeddings }
             }
-            Source::Oracle => {
-                let annotations = annotated(OracleRun(())).with_context(|| missing("annotations"))?;
-                boxed(annotations, scene, Names::Annotated)?
-            }
-            Source::OracleBoxes => {
-                let annotations = annotated(OracleRun(())).with_context(|| missing("annotations"))?;
-                boxed(annotations, scene, Names::Encoder)?
-            }
-            Source::Recorded => boxed(scene.recorded.as_ref().with_context(|| missing("recorded candidates"))?, scene, Names::Encoder)?,
+            Source::Oracle => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, Names::Annotated)?,
+            Source::OracleBoxes => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, Names::Encoder)?,
+            Source::Recorded => known(scene.recorded.as_ref().with_context(|| missing("recorded candidates"))?, Names::Encoder)?,
         };
         let parser = match (&self.vlm, configuration.parser) {
             (Some(asker), ParserChoice::Vlm) => asker.parser.name(),
             _ => BuiltinParser.name(),
         };
-        let models = Models { masks, encoder: attributes::NAME.into(), parser, reasoner: service::BUILTIN_REASONER.into() };
+        let encoder = models.label(Role::Encoder).filter(|_| embeddings.is_some()).unwrap_or_else(|| attributes::NAME.into());
+        let seen = models.encoder.zip(embeddings);
+        let models = Models { masks, encoder, parser, reasoner: service::BUILTIN_REASONER.into() };
         let boxes = instances.iter().map(|i| i.aabb).collect();
-        Ok(Box::new(LocalScene { instances, boxes, extent, cloud, models, vlm: self.vlm.clone() }))
+        Ok(Box::new(LocalScene { instances, boxes, extent, cloud, models, seen, vlm: self.vlm.clone() }))
     }
 }
 
-/// Instances from known boxes, with the scan's cloud where there is one.
-fn boxed(known: &Annotations, scene: &SuiteScene, names: Names) -> anyhow::Result<(Vec<Instance>, PointCloud, Aabb, String)> {
-    let cloud = match &scene.scan {
-        Some(scan) => {
-            let folder = Unpacked::of(scan)?;
-            ingest::load(&ingest::open(&folder.path)?, &ParseSettings::default().import, &Progress::silent())?.cloud
-        }
-        None => PointCloud::default(),
+/// A scene as it comes in, whatever its instances come from.
+struct Entered {
+    instances: Vec<Instance>,
+    cloud: PointCloud,
+    extent: Aabb,
+    masks: String,
+    embeddings: Option<Embeddings>,
+}
+
+/// Instances from known boxes, with the scan's cloud where there is one, and what an encoder sees of them.
+fn boxed(
+    known: &Annotations,
+    scene: &SuiteScene,
+    names: Names,
+    models: &NeuralModels,
+    settings: &ParseSettings,
+) -> anyhow::Result<Entered> {
+    let folder = scene.scan.as_deref().map(Unpacked::of).transpose()?;
+    let bundle = match &folder {
+        Some(folder) => Some(ingest::load(&ingest::open(&folder.path)?, &settings.import, &Progress::silent())?),
+        None => None,
     };
+    let (cloud, frames) = bundle.map_or_else(Default::default, |bundle| (bundle.cloud, bundle.frames));
     let corners: Vec<_> = known.objects.iter().flat_map(|o| o.aabb.corners()).collect();
     let extent = Aabb::around(cloud.positions.iter().chain(&corners)).with_context(|| format!("the scene {} is empty", scene.id))?;
-    Ok((instances_of(known, &cloud, names), cloud, extent, "none".into()))
+    let mut instances = instances_of(known, &cloud, names);
+    let embeddings = match &models.encoder {
+        Some(encoder) if names == Names::Encoder => Some(see(known, &mut instances, &cloud, &frames, encoder, &settings.parsing)?),
+        _ => None,
+    };
+    Ok(Entered { instances, cloud, extent, masks: "none".into(), embeddings })
 }
 
 impl OpenScene for LocalScene {
     fn ask(&self, expression: &Expression, configuration: &Configuration, hints: Option<&Hints>) -> anyhow::Result<Reply> {
         // In a paper-compatible run annotated anchors join the scene.
         let with_anchors: Option<Vec<Instance>> = hints.filter(|h| !h.anchors.is_empty()).map(|hints| self.with(&hints.anchors));
-        let view = SceneView { instances: with_anchors.as_deref().unwrap_or(&self.instances), extent: self.extent };
+        let instances = with_anchors.as_deref().unwrap_or(&self.instances);
         let question = Question {
             query: expression.query.clone(),
             top_k: configuration.top_k as usize,
@@ -150,7 +189,7 @@ impl OpenScene for LocalScene {
             target_name: hints.and_then(|hints| hints.target_name.clone()),
         };
         let start = Instant::now();
-        let (grounding, usage) = match (&self.vlm, configuration.parser) {
+        let (parsed, usage) = match (&self.vlm, configuration.parser) {
             (Some(asker), ParserChoice::Vlm) => {
                 let reading = asker.runtime.block_on(asker.parser.read(&question.query));
                 let usage = Usage::of(&reading);
@@ -158,12 +197,19 @@ impl OpenScene for LocalScene {
                 if let Some(why) = reading.fell_back.filter(|_| usage.vlm_calls == 0) {
                     bail!("the model could not be asked: {why}");
                 }
-                (grounding::ground_read(view, &question, reading.parsed, start.elapsed()), usage)
+                (reading.parsed, usage)
             }
-            _ => (grounding::ground(view, &question), Usage::default()),
+            _ => (query::parse(&question.query), Usage::default()),
         };
+        let reading = start.elapsed();
+        let looks = |(encoder, embeddings): &(Arc<DualEncoder>, Embeddings)| {
+            Appearance::of(&question.query, &parsed, encoder, embeddings, ShortlistScoring::default())
+        };
+        let appearance = self.seen.as_ref().map(looks).transpose()?;
+        let view = SceneView { instances, extent: self.extent, appearance: appearance.as_ref() };
+        let shortlist = grounding::shortlist(view, &parsed, SHORTLIST_DEPTH as usize);
+        let grounding = grounding::ground_read(view, &question, parsed, reading);
         let latency_ms = start.elapsed().as_secs_f64() * 1e3;
-        let (_, shortlist) = grounding::shortlist(view, &question.query, SHORTLIST_DEPTH as usize);
         Ok(Reply {
             status: grounding.status,
             answer: grounding.answer,

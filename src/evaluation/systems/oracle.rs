@@ -4,10 +4,13 @@ use crate::evaluation::annotations::{Annotations, SceneObject};
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::colour::ColourHistogram;
 use crate::geometry::{Point3, Vector3};
-use crate::models::attributes;
+use crate::models::neural::DualEncoder;
+use crate::models::{attributes, likeness};
 use crate::progress::Progress;
-use crate::scene::{Instance, InstanceId, NameGuess, PointCloud, Structure, Support};
+use crate::scene::{Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure, Support};
+use crate::scene_parsing::appearance::{self, Labelled};
 use crate::scene_parsing::instances::{planarity, supports};
+use crate::scene_parsing::{ParseError, ParsingSettings};
 
 /// Who names annotated instances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -83,6 +86,32 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: Names)
         attributes::name_all(&mut instances);
     }
     instances
+}
+
+/// What an encoder sees of annotated instances, and what it calls them: crops around the points annotated as theirs.
+///
+/// # Errors
+/// An unreadable frame, or a model that fails.
+pub fn see(
+    annotations: &Annotations,
+    instances: &mut [Instance],
+    cloud: &PointCloud,
+    frames: &[FrameRef],
+    encoder: &DualEncoder,
+    settings: &ParsingSettings,
+) -> Result<Embeddings, ParseError> {
+    let mut own = PointCloud::default();
+    let mut instance_of_point = Vec::new();
+    for (i, label) in annotations.label(cloud).iter().enumerate() {
+        if let Ok(object) = annotations.objects.binary_search_by_key(label, |o| o.id) {
+            own.positions.push(cloud.positions[i]);
+            own.colours.push(cloud.colours[i]);
+            instance_of_point.push(InstanceId(object as u32 + 1));
+        }
+    }
+    let labelled = Labelled { cloud: &own, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
+    let rows = appearance::of_known(frames, instances, labelled, encoder, &settings.appearance)?;
+    Ok(likeness::name_all(instances, encoder, &rows)?)
 }
 
 /// Names an instance, in the lexicon's word where it has one.

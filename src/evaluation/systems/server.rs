@@ -106,18 +106,14 @@ impl OpenScene for RemoteScene {
     fn ask(&self, expression: &Expression, configuration: &Configuration, _: Option<&Hints>) -> anyhow::Result<Reply> {
         let Configuration { parser, reasoner, ablation, top_k, convention, .. } = configuration;
         let request = GroundRequest {
-            query: expression.query.clone(),
             top_k: *top_k,
             parser: *parser,
             reasoner: *reasoner,
             ablation: *ablation,
             direction_convention: *convention,
-            observer: None,
-            include: None,
-            max_cost_usd: None,
-            timeout_s: None,
+            ..GroundRequest::of(&expression.query)
         };
-        let shortlist = ShortlistRequest { query: expression.query.clone(), top_k: SHORTLIST_DEPTH };
+        let shortlist = ShortlistRequest { top_k: SHORTLIST_DEPTH, ..ShortlistRequest::of(&expression.query) };
         self.runtime.block_on(async {
             let start = Instant::now();
             let answer = self.client.ground(&self.id, &request).await?;

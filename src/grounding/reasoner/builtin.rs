@@ -162,7 +162,7 @@ mod tests {
         let instances = room();
         let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
         let question = Question { query: query.into(), top_k: 5, convention, observer, target_name: None };
-        ground(SceneView { instances: &instances, extent }, &question)
+        ground(SceneView { instances: &instances, extent, appearance: None }, &question)
     }
 
     fn ask(query: &str) -> Grounding {

@@ -22,10 +22,17 @@ pub struct DualEncoderManifest {
     pub embedding_dim: usize,
     pub image: ImageTower,
     pub text: TextTower,
+    /// What cosines are multiplied with before they are compared as likelihoods; 100 for CLIP and its kin.
+    #[serde(default = "usual_scale")]
+    pub logit_scale: f32,
     #[serde(default)]
     pub licence: String,
     #[serde(default)]
     pub source: String,
+}
+
+fn usual_scale() -> f32 {
+    100.0
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -49,7 +56,13 @@ pub struct TextTower {
     pub output: String,
     pub tokenizer: String,
     pub context_length: usize,
-    pub pad_id: u32,
+    /// What a noun is put into before it is embedded: "a photo of a {}." for towers trained on captions.
+    #[serde(default = "plain")]
+    pub template: String,
+}
+
+fn plain() -> String {
+    "{}".into()
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]
@@ -266,6 +279,8 @@ impl Manifest {
                 ("image.file", is_file(&m.image.file), FILE_RULE),
                 ("text.file", is_file(&m.text.file), FILE_RULE),
                 ("text.tokenizer", is_file(&m.text.tokenizer), FILE_RULE),
+                ("logit_scale", m.logit_scale.is_finite() && m.logit_scale > 0.0, "above 0"),
+                ("text.template", m.text.template.contains("{}"), "a text with {} in it"),
                 ("text.context_length", (1..=65_536).contains(&m.text.context_length), "1 to 65536"),
             ],
             Self::PromptableSegmenter(m) => &[

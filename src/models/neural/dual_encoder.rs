@@ -145,6 +145,20 @@ impl DualEncoder {
         Ok(embedding)
     }
 
+    /// A noun in the common space, put into the words the tower was trained with.
+    ///
+    /// # Errors
+    /// [`ModelError`]: a failed call.
+    pub fn embed_name(&self, noun: &str) -> Result<TextEmbedding, ModelError> {
+        self.embed_text(&self.manifest.text.template.replacen("{}", noun, 1))
+    }
+
+    /// What cosines are multiplied with to become likelihoods.
+    #[must_use]
+    pub fn logit_scale(&self) -> f32 {
+        self.manifest.logit_scale
+    }
+
     fn compute_text(&self, text: &str) -> Result<TextEmbedding, ModelError> {
         let tower = &self.manifest.text;
         let Tokens { ids, mask, cut } = self.tokens(text)?;

@@ -17,13 +17,22 @@ pub enum Engine {
     Remote(RemoteServer),
 }
 
+/// What a model is for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    /// Cuts pictures into masks.
+    Masks,
+    /// Compares pictures and words.
+    Encoder,
+}
+
 /// A model in use, as told to callers.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct LoadedModel {
     /// Name of the bundle.
     pub name: String,
-    /// `masks` or `encoder`.
-    pub role: String,
+    pub role: Role,
     /// SHA-256 over the bundle's files; of the manifest and the server's models where those run elsewhere.
     pub fingerprint: String,
     /// `cpu`, `cuda`, `tensorrt`, `coreml`, or the inference server's address.
@@ -110,7 +119,7 @@ impl Models {
         let encoder = engine.open(&bundle, &manifest.encoder.file, 1)?;
         let decoder = engine.open(&bundle, &manifest.decoder.file, AT_ONCE)?;
         let segmenter = Segmenter::new(&bundle, manifest, encoder, decoder)?;
-        self.note(engine, &bundle, "masks", None, segmenter.batch(), &manifest.licence)?;
+        self.note(engine, &bundle, Role::Masks, None, segmenter.batch(), &manifest.licence)?;
         self.segmenter = Some(Arc::new(segmenter));
         Ok(self)
     }
@@ -125,23 +134,34 @@ impl Models {
         let image = engine.open(&bundle, &manifest.image.file, 1)?;
         let text = engine.open(&bundle, &manifest.text.file, AT_ONCE)?;
         let encoder = DualEncoder::new(&bundle, manifest, image, text)?;
-        self.note(engine, &bundle, "encoder", Some(encoder.dim()), encoder.batch(), &manifest.licence)?;
+        self.note(engine, &bundle, Role::Encoder, Some(encoder.dim()), encoder.batch(), &manifest.licence)?;
         self.encoder = Some(Arc::new(encoder));
         Ok(self)
+    }
+
+    /// Those of the wanted roles.
+    #[must_use]
+    pub fn only(&self, masks: bool, encoder: bool) -> Self {
+        let wanted = |role: Role| if role == Role::Masks { masks } else { encoder };
+        Self {
+            segmenter: self.segmenter.clone().filter(|_| masks),
+            encoder: self.encoder.clone().filter(|_| encoder),
+            loaded: self.loaded.iter().filter(|model| wanted(model.role)).cloned().collect(),
+        }
     }
 
     fn note(
         &mut self,
         engine: &Engine,
         bundle: &Bundle,
-        role: &str,
+        role: Role,
         dimensions: Option<usize>,
         batch: usize,
         licence: &str,
     ) -> Result<(), ModelError> {
         self.loaded.push(LoadedModel {
             name: bundle.name().to_owned(),
-            role: role.to_owned(),
+            role,
             fingerprint: bundle.fingerprint(matches!(engine, Engine::Local(_)))?,
             runs_on: engine.runs_on(),
             library: engine.library(),
@@ -154,7 +174,7 @@ impl Models {
 
     /// What a loaded model is recorded as: its name and the beginning of its fingerprint.
     #[must_use]
-    pub fn label(&self, role: &str) -> Option<String> {
+    pub fn label(&self, role: Role) -> Option<String> {
         let model = self.loaded.iter().find(|model| model.role == role)?;
         Some(format!("{}@{}", model.name, &model.fingerprint[..12]))
     }

@@ -18,7 +18,7 @@ mod shelf;
 
 pub use dual_encoder::{DualEncoder, TextEmbedding};
 pub use kserve::RemoteServer;
-pub use loading::{Engine, LoadedModel, Models};
+pub use loading::{Engine, LoadedModel, Models, Role, folder_of};
 pub use onnx::{OnnxRuntime, Provider, RuntimeSettings};
 pub use segmenter::{Encoded, LowMask, PointLabel, Prompt, Segmenter};
 pub use shelf::{BundleFile, BundleListing, list, verify};

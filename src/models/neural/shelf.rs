@@ -1,7 +1,7 @@
 //! Bundles in a folder: what lies there, and whether it is whole.
 
 use super::bundle::{Bundle, MANIFEST, Manifest};
-use super::{Engine, ModelError, Models};
+use super::{Engine, ModelError, Models, Role};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Serialize;
 
@@ -18,8 +18,8 @@ pub struct BundleFile {
 pub struct BundleListing {
     pub folder: Utf8PathBuf,
     pub name: String,
-    /// `masks` or `encoder`: where it can be used.
-    pub role: String,
+    /// Where it can be used; unknown when its manifest can not be read.
+    pub role: Option<Role>,
     pub files: Vec<BundleFile>,
     pub licence: String,
     pub source: String,
@@ -44,7 +44,7 @@ fn listing(folder: &Utf8Path) -> BundleListing {
         Err(error) => {
             let name = folder.file_name().unwrap_or_default().to_owned();
             let problem = Some(error.to_string());
-            let (role, licence, source) = (String::new(), String::new(), String::new());
+            let (role, licence, source) = (None, String::new(), String::new());
             return BundleListing { folder: folder.to_owned(), name, role, files: Vec::new(), licence, source, problem };
         }
     };
@@ -57,10 +57,10 @@ fn listing(folder: &Utf8Path) -> BundleListing {
     let missing: Vec<&str> = files.iter().filter(|f| f.bytes.is_none()).map(|f| f.name.as_str()).collect();
     let problem = (!missing.is_empty()).then(|| format!("missing: {}", missing.join(", ")));
     let (role, licence, source) = match &bundle.manifest {
-        Manifest::DualEncoder(m) => ("encoder", m.licence.clone(), m.source.clone()),
-        Manifest::PromptableSegmenter(m) => ("masks", m.licence.clone(), m.source.clone()),
+        Manifest::DualEncoder(m) => (Role::Encoder, m.licence.clone(), m.source.clone()),
+        Manifest::PromptableSegmenter(m) => (Role::Masks, m.licence.clone(), m.source.clone()),
     };
-    BundleListing { folder: folder.to_owned(), name: bundle.name().to_owned(), role: role.into(), files, licence, source, problem }
+    BundleListing { folder: folder.to_owned(), name: bundle.name().to_owned(), role: Some(role), files, licence, source, problem }
 }
 
 /// Loads a bundle and runs it once: whether it would work.

@@ -254,7 +254,7 @@ fn fingerprints_follow_the_files() {
 fn the_shelf_lists_what_lies_there() {
     let (folder, _) = spoilt("tiny-dual-encoder", |p| fs::remove_file(p.join("text.onnx")).unwrap());
     let listed = list(Utf8Path::from_path(folder.path()).unwrap()).unwrap();
-    assert_eq!((listed[0].name.as_str(), listed[0].role.as_str()), ("tiny-dual-encoder", "encoder"));
+    assert_eq!((listed[0].name.as_str(), listed[0].role), ("tiny-dual-encoder", Some(Role::Encoder)));
     assert_eq!(listed[0].problem.as_deref(), Some("missing: text.onnx"));
     assert!(list(&data("")).unwrap().iter().all(|bundle| bundle.problem.is_none()));
 }

@@ -3,7 +3,9 @@
 //! A [`MaskSource`] gives one id image per frame; what the ids mean is only known within that frame.
 
 pub mod rgbd;
+pub mod sam;
 
+use crate::models::neural::ModelError;
 use crate::scene::Frame;
 
 /// One mask id per pixel of a frame's **depth** image, row-major; 0 = no mask.
@@ -35,5 +37,8 @@ pub trait MaskSource: Send + Sync {
     fn name(&self) -> &str;
 
     /// The masks of one frame, at the resolution of its depth image.
-    fn masks(&self, frame: &Frame) -> IdImage;
+    ///
+    /// # Errors
+    /// [`ModelError`] when a model fails; the built-in masks never do.
+    fn masks(&self, frame: &Frame) -> Result<IdImage, ModelError>;
 }

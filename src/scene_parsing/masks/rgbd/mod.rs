@@ -9,6 +9,7 @@ mod surfaces;
 mod things;
 
 use super::{IdImage, MaskSource};
+use crate::models::neural::ModelError;
 use crate::scene::Frame;
 use serde::{Deserialize, Serialize};
 use surfaces::Surfaces;
@@ -67,11 +68,11 @@ impl MaskSource for RgbdMasks {
         "rgbd-2"
     }
 
-    fn masks(&self, frame: &Frame) -> IdImage {
+    fn masks(&self, frame: &Frame) -> Result<IdImage, ModelError> {
         let surfaces = Surfaces::of(frame, self.settings.stride);
         let patches = patches::cut(&surfaces, &self.settings);
         let things = things::join(&surfaces, &patches, &self.settings);
-        spread(&surfaces, &things, frame)
+        Ok(spread(&surfaces, &things, frame))
     }
 }
 

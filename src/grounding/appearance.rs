@@ -1,0 +1,130 @@
+//! What the words of one question look like, laid beside what every instance looks like.
+//!
+//! All texts are embedded before anything is decided: a model that fails fails here, the decision itself can not.
+
+use super::query::{Meaning, ParsedQuery, Phrase};
+use crate::models::likeness;
+use crate::models::neural::{DualEncoder, ModelError};
+use crate::scene::{Embeddings, Norms};
+use serde::{Deserialize, Serialize};
+use std::collections::HashMap;
+use std::sync::Arc;
+use utoipa::ToSchema;
+
+/// Which words are compared with instances for the shortlist.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum QueryText {
+    /// The whole sentence.
+    Full,
+    /// The target phrase alone: "red chair".
+    Target,
+    /// The mean of both, each of unit length: long captions are cut at the tower's context.
+    #[default]
+    Mean,
+}
+
+/// How the shortlist is scored, where an encoder has seen the scene.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct ShortlistScoring {
+    pub query_text: QueryText,
+    /// Likelihood against the nouns of the lexicon instead of the plain cosine: an instance that is near every word is near none.
+    pub calibrated: bool,
+}
+
+/// Cosines of a question's words with every instance.
+#[derive(Debug, Clone)]
+pub struct Appearance {
+    logit_scale: f32,
+    norms: Vec<Norms>,
+    seen: Vec<bool>,
+    /// By word; a word the tower does not know has none.
+    of_word: HashMap<String, Vec<f32>>,
+    shortlist: Option<Vec<f32>>,
+    /// The sentence is longer than the text tower reads.
+    pub cut: bool,
+}
+
+impl Appearance {
+    /// Looks up every noun of a question, and the question itself.
+    ///
+    /// # Errors
+    /// [`ModelError`]: a failed call.
+    pub fn of(
+        query: &str,
+        parsed: &ParsedQuery,
+        encoder: &DualEncoder,
+        embeddings: &Embeddings,
+        scoring: ShortlistScoring,
+    ) -> Result<Self, ModelError> {
+        let mut words = Vec::new();
+        let mut phrases = vec![&parsed.target];
+        phrases.extend(parsed.other_reading.as_ref());
+        phrases.extend(parsed.viewpoint.as_ref().map(|viewpoint| &viewpoint.anchor));
+        phrases.into_iter().for_each(|phrase| nouns_within(phrase, &mut words));
+        words.sort_unstable();
+        words.dedup();
+        let mut of_word = HashMap::new();
+        for word in words {
+            if let Some(vector) = encoder.embed_name(&word)?.vector {
+                of_word.insert(word, embeddings.cosines(&vector));
+            }
+        }
+        let (sentence, cut) = sentence(query, &parsed.target, encoder, scoring.query_text)?;
+        let (logit_scale, norms) = (encoder.logit_scale(), embeddings.norms().to_vec());
+        let calibrated = |cosines: Vec<f32>| match scoring.calibrated {
+            true => cosines.iter().zip(&norms).map(|(cosine, n)| (logit_scale * cosine - n.appearance).exp()).collect(),
+            false => cosines,
+        };
+        let shortlist = sentence.map(|vector| calibrated(embeddings.cosines(&vector)));
+        let seen = (0..embeddings.len()).map(|i| embeddings.is_seen(i)).collect();
+        Ok(Self { logit_scale, norms, seen, of_word, shortlist, cut })
+    }
+
+    /// Fit of a word to the instance at an index; `None` where only measures can tell.
+    pub(super) fn fit(&self, word: &str, index: usize, measured: Option<f32>) -> Option<f32> {
+        if !*self.seen.get(index)? {
+            return None;
+        }
+        Some(likeness::fit(self.of_word.get(word)?[index], self.logit_scale, measured, self.norms[index]))
+    }
+
+    /// Scores of the shortlist, by index; `None` when the tower knows none of the words.
+    pub(super) fn shortlist(&self) -> Option<&[f32]> {
+        self.shortlist.as_deref()
+    }
+}
+
+/// The nouns a phrase and the phrases within may mean.
+fn nouns_within(phrase: &Phrase, words: &mut Vec<String>) {
+    match phrase.meaning() {
+        Meaning::Nouns(nouns) => words.extend(nouns.iter().map(|noun| noun.name.clone())),
+        Meaning::Unknown => words.push(phrase.head.clone()),
+        Meaning::Anything | Meaning::Structure(_) => {}
+    }
+    for other in &phrase.other_things {
+        nouns_within(&Phrase { head: other.clone(), ..Phrase::default() }, words);
+    }
+    let anchors = phrase.relations.iter().flat_map(|relation| &relation.anchors);
+    anchors.chain(phrase.with.iter().map(|with| &with.phrase)).for_each(|inner| nouns_within(inner, words));
+}
+
+/// The words the shortlist goes by as one unit vector, and whether the end of the sentence was not read.
+fn sentence(query: &str, target: &Phrase, encoder: &DualEncoder, text: QueryText) -> Result<(Option<Arc<[f32]>>, bool), ModelError> {
+    let full = encoder.embed_text(query)?;
+    let target = match text {
+        QueryText::Full => None,
+        QueryText::Target | QueryText::Mean => encoder.embed_name(&target.text())?.vector,
+    };
+    let vector = match (text, full.vector, target) {
+        (QueryText::Mean, Some(a), Some(b)) => {
+            let sum: Vec<f32> = a.iter().zip(b.iter()).map(|(x, y)| x + y).collect();
+            let norm = sum.iter().map(|v| v * v).sum::<f32>().sqrt();
+            if norm > 0.0 { Some(sum.iter().map(|v| v / norm).collect()) } else { Some(a) }
+        }
+        (QueryText::Target, full, None) => full,
+        (QueryText::Target, _, target) => target,
+        (_, full, target) => full.or(target),
+    };
+    Ok((vector, full.cut && text != QueryText::Target))
+}

@@ -1,0 +1,285 @@
+//! Automatic masks of a promptable segmenter (paper: SAM): a grid of points is asked, what the model is sure of and what is stable stays, the
+//! rest of what says the same thing twice goes, and the masks are painted into one id image.
+
+mod encoded_frames;
+mod paint;
+
+pub use encoded_frames::EncodedFrames;
+
+use super::{IdImage, MaskSource};
+use crate::models::neural::{Encoded, LowMask, ModelError, Prompt};
+use crate::scene::Frame;
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+use image::imageops;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// How masks that overlap are painted.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum MaskOrder {
+    /// The mask the model is surest of comes last and stays whole.
+    AscendingQuality,
+    /// A part stays visible on what it is part of.
+    LargerFirst,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields, default)]
+pub struct SamSettings {
+    /// Points per side of the grid.
+    pub points_per_side: u32,
+    /// Also asks four overlapping quarters of each picture, each with half the points per side: small things, at five times the encoding.
+    pub quarters: bool,
+    /// Masks the model is less sure of are left out.
+    pub min_predicted_iou: f32,
+    /// Least overlap of a mask with itself when its threshold moves by `stability_margin` both ways.
+    pub min_stability: f32,
+    /// In logits.
+    pub stability_margin: f32,
+    /// Of two masks that overlap by more (IoU), the better stays.
+    pub max_overlap: f32,
+    /// Masks under this share of the picture are specks.
+    pub min_area: f32,
+    /// Masks over this share of the picture are the picture.
+    pub max_area: f32,
+    /// Masks kept per picture, the best.
+    pub max_masks: u32,
+    pub order: MaskOrder,
+    /// Encoded pictures are kept on disk until the parse is done, for the prompts of defect correction; at most so many megabytes.
+    pub cache_mb: u32,
+}
+
+impl Default for SamSettings {
+    fn default() -> Self {
+        Self {
+            points_per_side: 16,
+            quarters: false,
+            min_predicted_iou: 0.5,
+            min_stability: 0.7,
+            stability_margin: 1.0,
+            max_overlap: 0.7,
+            min_area: 0.0003,
+            max_area: 0.9,
+            max_masks: 400,
+            order: MaskOrder::AscendingQuality,
+            cache_mb: 4096,
+        }
+    }
+}
+
+impl SamSettings {
+    /// What the segmenter's authors use, as the paper does where it says nothing else.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self { points_per_side: 32, min_predicted_iou: 0.88, min_stability: 0.95, ..Self::default() }
+    }
+}
+
+/// A mask source that asks a segmenter.
+pub struct SamMasks<'a> {
+    pub frames: &'a EncodedFrames,
+    pub settings: SamSettings,
+    /// Name and fingerprint of the bundle.
+    pub name: String,
+}
+
+/// Cells per side of the grid on which masks of one picture are compared.
+const GRID: usize = 256;
+/// How far quarters reach over the middle, as a share of the picture.
+const QUARTER_OVERLAP: f32 = 0.1;
+
+/// A mask that may stay.
+struct Candidate {
+    /// What the model thinks of it, times how stable it is.
+    quality: f32,
+    /// Bit per cell of the grid over the whole picture.
+    cells: Vec<u64>,
+    area: u32,
+    /// The mask itself, to be painted: half floats, as there are hundreds of them.
+    logits: Vec<f16>,
+    window: Window,
+}
+
+/// Where in the picture a mask was made.
+#[derive(Debug, Clone, Copy, PartialEq)]
+struct Window {
+    left: u32,
+    top: u32,
+    width: u32,
+    height: u32,
+    /// Low-resolution cells per pixel, see [`Segmenter::low_scale`](crate::models::neural::Segmenter::low_scale).
+    scale: (f32, f32),
+}
+
+impl MaskSource for SamMasks<'_> {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn masks(&self, frame: &Frame) -> Result<IdImage, ModelError> {
+        let mut candidates = Vec::new();
+        let (width, height) = frame.color.dimensions();
+        let points = self.settings.points_per_side;
+        let encoded = self.frames.of(frame.index, &frame.color)?;
+        let whole = Window { left: 0, top: 0, width, height, scale: self.frames.segmenter.low_scale(&encoded) };
+        self.ask(&encoded, whole, points, (width, height), &mut candidates)?;
+        drop(encoded);
+        if self.settings.quarters {
+            let reach = |length: u32| ((length as f32 * (0.5 + QUARTER_OVERLAP)) as u32).clamp(1, length);
+            let (w, h) = (reach(width), reach(height));
+            for (left, top) in [(0, 0), (width - w, 0), (0, height - h), (width - w, height - h)] {
+                let quarter = imageops::crop_imm(&frame.color, left, top, w, h).to_image();
+                let encoded = self.frames.segmenter.encode(&quarter)?;
+                let window = Window { left, top, width: w, height: h, scale: self.frames.segmenter.low_scale(&encoded) };
+                self.ask(&encoded, window, points.div_ceil(2), (width, height), &mut candidates)?;
+            }
+        }
+        Ok(paint::paint(self.select(candidates), self.frames.segmenter.threshold(), &self.settings, frame))
+    }
+}
+
+impl SamMasks<'_> {
+    /// Asks a grid of points within a window, a few at a time.
+    fn ask(
+        &self,
+        encoded: &Encoded,
+        window: Window,
+        points: u32,
+        picture: (u32, u32),
+        candidates: &mut Vec<Candidate>,
+    ) -> Result<(), ModelError> {
+        let segmenter = &self.frames.segmenter;
+        let at = |i: u32, length: u32| (i as f32 + 0.5) * length as f32 / points as f32 - 0.5;
+        let grid = (0..points * points).map(|i| Prompt::inside([(at(i % points, window.width), at(i / points, window.height))]));
+        let lookup = cell_lookup(window, picture, segmenter.mask_size());
+        let prompts: Vec<Prompt> = grid.collect();
+        for batch in prompts.chunks(segmenter.batch()) {
+            let masks = segmenter.decode(encoded, batch)?;
+            candidates.extend(masks.iter().flatten().filter_map(|mask| self.candidate(mask, window, &lookup)));
+        }
+        Ok(())
+    }
+
+    /// A mask that is sure, stable, and neither a speck nor the whole picture.
+    fn candidate(&self, mask: &LowMask, window: Window, lookup: &[u32]) -> Option<Candidate> {
+        let settings = &self.settings;
+        if mask.predicted_iou < settings.min_predicted_iou {
+            return None;
+        }
+        let threshold = self.frames.segmenter.threshold();
+        let above = |level: f32| mask.logits.iter().filter(|logit| **logit > level).count();
+        let stability = above(threshold + settings.stability_margin) as f32 / above(threshold - settings.stability_margin).max(1) as f32;
+        if stability < settings.min_stability {
+            return None;
+        }
+        let inside = |cell: &u32| mask.logits.get(*cell as usize).is_some_and(|logit| *logit > threshold);
+        let word = |cells: &[u32]| cells.iter().enumerate().fold(0, |word, (bit, cell)| word | u64::from(inside(cell)) << bit);
+        let cells: Vec<u64> = lookup.chunks(64).map(word).collect();
+        let area: u32 = cells.iter().map(|word| word.count_ones()).sum();
+        let share = area as f32 / (GRID * GRID) as f32;
+        if !(settings.min_area..=settings.max_area).contains(&share) || area == 0 {
+            return None;
+        }
+        let mut logits = vec![f16::ZERO; mask.logits.len()];
+        logits.convert_from_f32_slice(&mask.logits);
+        Some(Candidate { quality: mask.predicted_iou * stability.sqrt(), cells, area, logits, window })
+    }
+
+    /// Best first; what a better one says already is left out.
+    fn select(&self, mut candidates: Vec<Candidate>) -> Vec<Candidate> {
+        candidates.sort_by(|a, b| b.quality.total_cmp(&a.quality));
+        let mut kept: Vec<Candidate> = Vec::new();
+        for candidate in candidates {
+            if kept.len() >= self.settings.max_masks as usize {
+                break;
+            }
+            if kept.iter().all(|better| overlap(better, &candidate) < self.settings.max_overlap) {
+                kept.push(candidate);
+            }
+        }
+        kept
+    }
+}
+
+/// IoU on the grid.
+fn overlap(a: &Candidate, b: &Candidate) -> f32 {
+    let both: u32 = a.cells.iter().zip(&b.cells).map(|(x, y)| (x & y).count_ones()).sum();
+    both as f32 / (a.area + b.area - both) as f32
+}
+
+/// For each cell of the grid over the picture the cell of a window's low-resolution mask; past its end where the window does not reach.
+fn cell_lookup(window: Window, (width, height): (u32, u32), mask_size: usize) -> Vec<u32> {
+    const OUTSIDE: u32 = u32::MAX;
+    let low = |i: usize, length: u32, start: u32, reach: u32, scale: f32| {
+        let pixel = (i as f32 + 0.5) * length as f32 / GRID as f32 - start as f32;
+        let inside = pixel >= 0.0 && pixel < reach as f32;
+        inside.then(|| ((pixel * scale) as usize).min(mask_size - 1) as u32)
+    };
+    let columns: Vec<Option<u32>> = (0..GRID).map(|u| low(u, width, window.left, window.width, window.scale.0)).collect();
+    (0..GRID)
+        .flat_map(|v| {
+            let row = low(v, height, window.top, window.height, window.scale.1);
+            columns.iter().map(move |column| row.zip(*column).map_or(OUTSIDE, |(row, column)| row * mask_size as u32 + column))
+        })
+        .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Isometry3;
+    use crate::models::neural::tests::tiny_segmenter;
+    use crate::scene::{Camera, DepthImage, FrameIndex, Intrinsics};
+    use image::{Rgb, RgbImage};
+
+    fn frame() -> Frame {
+        let intrinsics = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 47.5, cy: 31.5 };
+        let camera = Camera::new(intrinsics, &Isometry3::identity());
+        let color = RgbImage::from_fn(96, 64, |x, y| if (30..60).contains(&x) && (20..44).contains(&y) { Rgb([220, 30, 30]) } else { Rgb([40, 60, 90]) });
+        let depth = DepthImage { width: 96, height: 64, depth_m: vec![2.0; 96 * 64] };
+        Frame { index: FrameIndex(0), color, depth, color_camera: camera, depth_camera: camera }
+    }
+
+    fn masks(bundle: &str, settings: SamSettings) -> IdImage {
+        let frames = EncodedFrames::new(tiny_segmenter(bundle), None, 0).unwrap();
+        SamMasks { frames: &frames, settings, name: "tiny".into() }.masks(&frame()).unwrap()
+    }
+
+    /// Random weights: nothing can be said about the masks but that they are there, bounded, and the same every time.
+    #[test]
+    fn a_grid_of_points_gives_one_id_image_whatever_the_family() {
+        let open = SamSettings { points_per_side: 4, min_predicted_iou: -10.0, min_stability: 0.0, max_area: 1.0, ..SamSettings::default() };
+        for bundle in ["tiny-segmenter", "tiny-segmenter-sam"] {
+            let found = masks(bundle, open);
+            assert_eq!((found.width, found.height), (96, 64));
+            assert!(found.count() > 0, "{bundle}");
+            assert_eq!(found, masks(bundle, open), "{bundle}");
+            let few = masks(bundle, SamSettings { max_masks: 1, ..open });
+            assert_eq!(few.count(), 1, "{bundle}");
+            assert_eq!(masks(bundle, SamSettings { min_predicted_iou: 100.0, ..open }).count(), 0);
+            assert!(masks(bundle, SamSettings { quarters: true, ..open }).count() > 0);
+        }
+    }
+
+    #[test]
+    fn a_window_lies_where_it_was_cut() {
+        let window = Window { left: 50, top: 0, width: 50, height: 100, scale: (0.64, 0.32) };
+        let lookup = cell_lookup(window, (100, 100), 32);
+        assert_eq!(lookup[0], u32::MAX, "left of the window");
+        // The window's first column, the picture's middle.
+        assert_eq!((lookup[GRID / 2], lookup[GRID - 1]), (0, 31));
+        assert_eq!(lookup[GRID * GRID - 1], 32 * 32 - 1);
+    }
+
+    #[test]
+    fn the_better_of_two_that_say_the_same_stays() {
+        let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();
+        let sam = SamMasks { frames: &frames, settings: SamSettings::default(), name: "tiny".into() };
+        let window = Window { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
+        let candidate = |quality: f32, cells: u64| Candidate { quality, cells: vec![cells], area: cells.count_ones(), logits: Vec::new(), window };
+        let kept = sam.select(vec![candidate(0.6, 0xff), candidate(0.9, 0x7f), candidate(0.5, 0xff00)]);
+        assert_eq!(kept.iter().map(|c| c.quality).collect::<Vec<_>>(), [0.9, 0.5]);
+    }
+}
