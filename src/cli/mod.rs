@@ -3,6 +3,7 @@
 mod demo;
 mod eval;
 mod ground;
+mod models;
 mod openapi;
 mod parse;
 mod report_page;
@@ -31,6 +32,8 @@ enum Command {
     Parse(parse::ParseArgs),
     /// Score expressions with known answers
     Eval(Box<eval::EvalArgs>),
+    /// Fetch, list and verify model bundles
+    Models(models::ModelsArgs),
     /// Print the OpenAPI description of the service
     Openapi,
 }
@@ -46,6 +49,7 @@ pub fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Ground(args) => asynchronous(ground::run(args)),
         Command::Parse(args) => parse::run(args),
         Command::Eval(args) => eval::run(args),
+        Command::Models(args) => models::run(args),
         Command::Openapi => openapi::run(),
     }
 }

@@ -1,6 +1,8 @@
-//! `/healthz` and `/readyz`
+//! `/healthz`, `/readyz` and `/v1/models`
 
 use super::App;
+use super::problem::Problem;
+use crate::service::LoadedModel;
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
@@ -25,6 +27,23 @@ pub struct Readiness {
     pub masks: String,
     /// How instances and words are compared.
     pub encoder: String,
+    /// The neural models among these, loaded and run once at the start.
+    pub models: Vec<LoadedModel>,
+}
+
+#[derive(Debug, Serialize, Deserialize, ToSchema)]
+pub struct ModelList {
+    pub models: Vec<LoadedModel>,
+}
+
+/// The neural models this server was started with; none when all parts are built in.
+#[utoipa::path(
+    get, path = "/v1/models", tag = "service",
+    responses((status = 200, body = ModelList), (status = 401, body = Problem, content_type = "application/problem+json")),
+    security(("key" = []), ())
+)]
+pub async fn models(State(app): State<App>) -> Json<ModelList> {
+    Json(ModelList { models: app.service.loaded_models().to_vec() })
 }
 
 /// Whether the process is alive.
@@ -51,6 +70,7 @@ pub async fn readyz(State(app): State<App>) -> (StatusCode, Json<Readiness>) {
         worker: word(worker),
         masks: models.masks,
         encoder: models.encoder,
+        models: app.service.loaded_models().to_vec(),
     };
     (if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE }, Json(readiness))
 }

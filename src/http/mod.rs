@@ -13,7 +13,7 @@ mod scenes;
 
 pub use auth::ApiKey;
 use auth::BearerAuth;
-pub use health::Readiness;
+pub use health::{ModelList, Readiness};
 pub use problem::{FieldError, Problem};
 pub use scenes::Created;
 
@@ -87,6 +87,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(grounding::shortlist))
         .routes(routes!(answers::get))
         .routes(routes!(answers::picture))
+        .routes(routes!(health::models))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
 }

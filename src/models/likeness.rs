@@ -14,13 +14,13 @@ const KEPT_NAMES: usize = 5;
 /// Names below this share of the belief are not worth telling.
 const MIN_NAME_SHARE: f32 = 0.02;
 /// Weight of the logarithm of the fit of measures, beside the scaled cosine.
-const MEASURES_WEIGHT: f32 = 0.5;
+const MEASURES_WEIGHT: f32 = 2.0;
 /// A misfit can not speak louder: boxes are never exact.
 const LEAST_FIT: f32 = 0.02;
 /// What measures say about a word of which none are known.
 const UNKNOWN_FIT: f32 = 0.3;
 /// Likelihoods are as sharp as the tower was trained to be; names that come close count as well.
-const TEMPERATURE: f32 = 2.5;
+const TEMPERATURE: f32 = 4.0;
 
 /// How well measures fit, as a summand beside a scaled cosine.
 fn measured(fit: Option<f32>) -> f32 {

@@ -220,11 +220,11 @@ impl Bundle {
         }
     }
 
-    /// SHA-256 over names and contents of the manifest and all files it names, hexadecimal.
+    /// SHA-256 over names and contents of the manifest and the files it names, and over `also`; hexadecimal.
     ///
     /// # Errors
     /// [`ModelError::Bundle`] naming the file that is missing.
-    pub fn fingerprint(&self, with_networks: bool) -> Result<String, ModelError> {
+    pub fn fingerprint(&self, with_networks: bool, also: &[String]) -> Result<String, ModelError> {
         let (networks, tokenizer) = self.files();
         let mut digest = Sha256::new();
         for name in std::iter::once(MANIFEST).chain(networks.into_iter().filter(|_| with_networks)).chain(tokenizer) {
@@ -236,6 +236,7 @@ impl Bundle {
             digest.update(reader.metadata().map_err(wrong)?.len().to_le_bytes());
             io::copy(&mut reader, &mut HashWriter(&mut digest)).map_err(wrong)?;
         }
+        also.iter().for_each(|text| digest.update(text));
         Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
     }
 }

@@ -111,6 +111,8 @@ pub struct RemoteNetwork {
 
 #[derive(Serialize)]
 struct Header<'a> {
+    /// Optional in the protocol; some servers fail without.
+    id: &'a str,
     inputs: Vec<Value>,
     outputs: Vec<Wanted<'a>>,
 }
@@ -195,6 +197,7 @@ fn binary_request(inputs: &[Input], outputs: &[&str]) -> (usize, Vec<u8>) {
     };
     let described = |i: &Input| json!({"name": i.name, "shape": i.shape, "datatype": datatype(i.values), "parameters": {"binary_data_size": bytes_of(i.values)}});
     let header = Header {
+        id: "uniground",
         inputs: inputs.iter().map(described).collect(),
         outputs: outputs.iter().map(|name| Wanted { name, parameters: json!({"binary_data": true}) }).collect(),
     };
@@ -218,6 +221,7 @@ fn plain_request(inputs: &[Input], outputs: &[&str]) -> Vec<u8> {
         json!({"name": i.name, "shape": i.shape, "datatype": datatype(i.values), "data": data})
     };
     let header = Header {
+        id: "uniground",
         inputs: inputs.iter().map(described).collect(),
         outputs: outputs.iter().map(|name| Wanted { name, parameters: json!({"binary_data": false}) }).collect(),
     };

@@ -27,6 +27,15 @@ pub enum Role {
     Encoder,
 }
 
+impl std::fmt::Display for Role {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Masks => "masks",
+            Self::Encoder => "encoder",
+        })
+    }
+}
+
 /// A model in use, as told to callers.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 pub struct LoadedModel {
@@ -76,6 +85,19 @@ impl Engine {
         match self {
             Self::Local(runtime) => Ok(Box::new(runtime.open(&bundle.path(file), at_once)?)),
             Self::Remote(server) => Ok(Box::new(server.open(&network_name(bundle, file))?)),
+        }
+    }
+
+    /// What tells this bundle's answers from those of another: its files; elsewhere, its manifest and what the server says it has.
+    fn fingerprint(&self, bundle: &Bundle) -> Result<String, ModelError> {
+        match self {
+            Self::Local(_) => bundle.fingerprint(true, &[]),
+            Self::Remote(server) => {
+                let (networks, _) = bundle.files();
+                let identities =
+                    networks.into_iter().map(|file| Ok(server.open(&network_name(bundle, file))?.identity)).collect::<Result<Vec<_>, ModelError>>()?;
+                bundle.fingerprint(false, &identities)
+            }
         }
     }
 
@@ -162,7 +184,7 @@ impl Models {
         self.loaded.push(LoadedModel {
             name: bundle.name().to_owned(),
             role,
-            fingerprint: bundle.fingerprint(matches!(engine, Engine::Local(_)))?,
+            fingerprint: engine.fingerprint(bundle)?,
             runs_on: engine.runs_on(),
             library: engine.library(),
             dimensions,

