@@ -17,7 +17,7 @@ use uniground::scene::SceneBundle;
 use uniground::scene_parsing::checkpoints::Checkpoints;
 use uniground::scene_parsing::masks::MaskSource;
 use uniground::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground::scene_parsing::{self, ParsingSettings, evidence, superpoints};
+use uniground::scene_parsing::{self, ParsingSettings, Perception, evidence, superpoints};
 
 fn unpacked(folder: &Utf8Path) {
     let archive = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/living_room.zip");
@@ -35,7 +35,7 @@ fn pipelines(c: &mut Criterion) {
     let (bundle, settings, masks) = (load(folder), ParsingSettings::default(), RgbdMasks::default());
     let frames = bundle.frames.clone();
     let silent = Progress::silent();
-    let parsed = scene_parsing::parse(bundle.clone(), &masks, &settings, &Checkpoints::none(), &silent).unwrap();
+    let parsed = scene_parsing::parse(bundle.clone(), &Perception::with_masks(&masks), &settings, &Checkpoints::none(), &silent).unwrap();
 
     let mut group = c.benchmark_group("stage 1, sample scene");
     group.sample_size(10).measurement_time(Duration::from_secs(8));
@@ -44,7 +44,7 @@ fn pipelines(c: &mut Criterion) {
     let frame = frames[0].decode().unwrap();
     group.bench_function("rgbd masks, one frame", |b| b.iter(|| masks.masks(black_box(&frame))));
     group.bench_function("parse: superpoints to views", |b| {
-        b.iter(|| scene_parsing::parse(bundle.clone(), &masks, &settings, &Checkpoints::none(), &silent).unwrap());
+        b.iter(|| scene_parsing::parse(bundle.clone(), &Perception::with_masks(&masks), &settings, &Checkpoints::none(), &silent).unwrap());
     });
     group.bench_function("evidence pictures", |b| {
         b.iter(|| evidence::render(&frames, &parsed.instances, &silent, |_| Ok::<_, scene_parsing::ParseError>(())).unwrap());

@@ -17,7 +17,7 @@ use uniground::scene::Instance;
 use uniground::scene_parsing::checkpoints::Checkpoints;
 use uniground::scene_parsing::masks::MaskSource;
 use uniground::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground::scene_parsing::{self, ParsingSettings, superpoints};
+use uniground::scene_parsing::{self, ParsingSettings, Perception, superpoints};
 
 /// Objects with fewer points are left out, as in the table of issue and peers.
 const MIN_POINTS: u32 = 200;
@@ -86,7 +86,9 @@ fn main() {
 fn naming(folder: &Utf8Path, room: &Room, name: &str, settings: &ParsingSettings) -> Vec<String> {
     let (annotations, _) = Annotations::read(&Annotations::file_of(folder, name).unwrap());
     let rgbd = RgbdMasks { settings: settings.rgbd_masks };
-    let parsed = scene_parsing::parse(room.bundle.clone(), &rgbd, settings, &Checkpoints::none(), &Progress::silent()).unwrap();
+    let parsed =
+        scene_parsing::parse(room.bundle.clone(), &Perception::with_masks(&rgbd), settings, &Checkpoints::none(), &Progress::silent())
+            .unwrap();
     let known = |name: &str| Lexicon::get().find(name).map(|noun| noun.name.clone());
     let objects = || annotations.objects.iter().filter(|o| o.structure().is_none() && known(&o.name).is_some());
     let boxed = instances_of(&annotations, &room.bundle.cloud, Names::Encoder);
@@ -109,7 +111,9 @@ fn table(header: &[&str]) -> Table {
 }
 
 fn measure(room: &Room, masks: &dyn MaskSource, settings: &ParsingSettings, misses: bool) -> (InstanceScore, f32) {
-    let parsed = scene_parsing::parse(room.bundle.clone(), masks, settings, &Checkpoints::none(), &Progress::silent()).unwrap();
+    let parsed =
+        scene_parsing::parse(room.bundle.clone(), &Perception::with_masks(masks), settings, &Checkpoints::none(), &Progress::silent())
+            .unwrap();
     let objects = room.objects(MIN_POINTS);
     let score = score_instances(&parsed, &objects, &room.truth);
     for (i, object) in objects.iter().enumerate().filter(|(i, _)| misses && score.box_iou[*i] < 0.5) {

@@ -17,7 +17,7 @@ use uniground::progress::Progress;
 use uniground::scene::SceneBundle;
 use uniground::scene_parsing::checkpoints::Checkpoints;
 use uniground::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground::scene_parsing::{self, ParsingSettings};
+use uniground::scene_parsing::{self, ParsingSettings, Perception};
 
 const FRAMES_PER_ROOM: usize = 75;
 /// Rooms stand this far apart, metres.
@@ -69,7 +69,13 @@ fn main() {
 }
 
 fn parse(bundle: SceneBundle, progress: &Progress) -> Result<uniground::scene::ParsedScene, scene_parsing::ParseError> {
-    scene_parsing::parse(bundle, &RgbdMasks::default(), &ParsingSettings::default(), &Checkpoints::none(), progress)
+    scene_parsing::parse(
+        bundle,
+        &Perception::with_masks(&RgbdMasks::default()),
+        &ParsingSettings::default(),
+        &Checkpoints::none(),
+        progress,
+    )
 }
 
 fn side_by_side(room: &SceneBundle, rooms: usize) -> SceneBundle {

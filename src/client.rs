@@ -8,7 +8,7 @@ use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-pub use crate::http::{Created, Readiness};
+pub use crate::http::{Created, ModelList, Readiness};
 
 /// What can go wrong on the caller's side of the wire.
 #[derive(Debug, thiserror::Error)]
@@ -156,6 +156,12 @@ impl Client {
     /// [`ClientError`].
     pub async fn shortlist(&self, scene_id: &str, request: &ShortlistRequest) -> Result<Shortlisted, ClientError> {
         json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/shortlist")).json(request)).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn models(&self) -> Result<ModelList, ClientError> {
+        json(self.request(Method::GET, "v1/models")).await
     }
 
     /// # Errors

@@ -26,6 +26,8 @@ pub enum Error {
     ViewNotFound { id: InstanceId, view: u32, views: usize },
     #[error("the parse report has no picture {name:?}")]
     ReportPictureNotFound { name: String },
+    #[error("scene {scene_id} was parsed without an encoder and has no embeddings")]
+    NoEmbeddings { scene_id: String },
     #[error("there is no answer {id}")]
     AnswerNotFound { id: String },
     #[error("scene {id} has not been parsed yet")]
@@ -107,6 +109,7 @@ impl Error {
             Self::InstanceNotFound { .. } => "instance_not_found",
             Self::ViewNotFound { .. } => "view_not_found",
             Self::ReportPictureNotFound { .. } => "report_picture_not_found",
+            Self::NoEmbeddings { .. } => "no_embeddings",
             Self::AnswerNotFound { .. } => "answer_not_found",
             Self::SceneNotReady { .. } => "scene_not_ready",
             Self::Invalid { .. } => "invalid_request",

@@ -26,7 +26,9 @@ pub struct GroundArgs {
 
 pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
     let client = Client::new(&args.server, std::env::var("UNIGROUND_API_KEY").ok())?;
-    let answer = client.ground(&args.scene, &GroundRequest { top_k: args.top_k, ..GroundRequest::of(&args.query) }).await?;
+    let answer = client
+        .ground(&args.scene, &GroundRequest { top_k: args.top_k, ..GroundRequest::of(&args.query) })
+        .await?;
     let mut out = io::stdout().lock();
     if args.json {
         writeln!(out, "{}", serde_json::to_string_pretty(&answer)?)?;

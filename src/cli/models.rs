@@ -104,7 +104,11 @@ fn print_list(args: &ListArgs) -> anyhow::Result<()> {
 fn print_verified(args: &VerifyArgs) -> anyhow::Result<()> {
     let VerifyArgs { bundles, config, json } = args;
     let folders: Vec<Utf8PathBuf> = match bundles.is_empty() {
-        true => list(&config.models).with_context(|| config.models.to_string())?.into_iter().map(|bundle| bundle.folder).collect(),
+        true => list(&config.models)
+            .with_context(|| config.models.to_string())?
+            .into_iter()
+            .map(|bundle| bundle.folder)
+            .collect(),
         false => bundles.iter().map(|bundle| folder_of(bundle, &config.models)).collect(),
     };
     ensure!(!folders.is_empty(), "{}: no bundles", config.models);

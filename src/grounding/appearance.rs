@@ -106,7 +106,9 @@ fn nouns_within(phrase: &Phrase, words: &mut Vec<String>) {
         nouns_within(&Phrase { head: other.clone(), ..Phrase::default() }, words);
     }
     let anchors = phrase.relations.iter().flat_map(|relation| &relation.anchors);
-    anchors.chain(phrase.with.iter().map(|with| &with.phrase)).for_each(|inner| nouns_within(inner, words));
+    anchors
+        .chain(phrase.with.iter().map(|with| &with.phrase))
+        .for_each(|inner| nouns_within(inner, words));
 }
 
 /// The words the shortlist goes by as one unit vector, and whether the end of the sentence was not read.

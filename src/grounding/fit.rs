@@ -51,7 +51,9 @@ pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
             for (i, (noun, measured)) in nouns.iter().zip(measured).enumerate() {
                 let breadth = breadth(phrase, noun, i);
                 by_measure = by_measure.max(measured * breadth);
-                by_looks = looks((noun, measured)).map(|fit| by_looks.map_or(fit * breadth, |best| best.max(fit * breadth))).or(by_looks);
+                by_looks = looks((noun, measured))
+                    .map(|fit| by_looks.map_or(fit * breadth, |best| best.max(fit * breadth)))
+                    .or(by_looks);
             }
             // Looks have been weighed against all other names, measures have not.
             by_looks.unwrap_or_else(|| by_measure * among_names(by_measure, nouns, instance).sqrt())

@@ -14,8 +14,8 @@ pub mod relations;
 mod shortlist;
 pub mod solid;
 
-pub use appearance::{Appearance, QueryText, ShortlistScoring};
 pub use answer::{Alternative, Grounding, ParsedQuerySummary, SixFields, Status, Timings};
+pub use appearance::{Appearance, QueryText, ShortlistScoring};
 use assess::Looked;
 use direction::{DirectionConvention, Directions, Observer};
 pub use shortlist::Candidate;

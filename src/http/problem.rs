@@ -128,10 +128,10 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::InstanceNotFound { .. }
         | Error::ViewNotFound { .. }
         | Error::ReportPictureNotFound { .. }
+        | Error::NoEmbeddings { .. }
         | Error::AnswerNotFound { .. } => StatusCode::NOT_FOUND,
-        Error::SceneNotReady { .. } => StatusCode::CONFLICT,
+        Error::SceneNotReady { .. } | Error::EncoderChanged { .. } => StatusCode::CONFLICT,
         Error::VlmUnavailable | Error::Model(_) => StatusCode::BAD_GATEWAY,
-        Error::EncoderChanged { .. } => StatusCode::CONFLICT,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
         Error::Overloaded => StatusCode::TOO_MANY_REQUESTS,
         Error::UploadTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,

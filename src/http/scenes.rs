@@ -254,6 +254,23 @@ pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String
     send_file(&file, "application/octet-stream").await
 }
 
+/// What the instances look like: a numpy array of half floats, one unit vector per instance in order of id, zero for those no frame
+/// shows. The scene's `models` name the encoder.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}/embeddings.npy", tag = "scenes", params(("scene_id" = String, Path)),
+    responses(
+        (status = 200, body = Binary, content_type = "application/octet-stream"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn embeddings(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Problem> {
+    let file = app.service.embeddings_file(&scene_id).await?;
+    send_file(&file, "application/octet-stream").await
+}
+
 /// Streams a stored file.
 pub(super) async fn send_file(path: &Utf8Path, media_type: &'static str) -> Result<Response, Problem> {
     let file = File::open(path).await.map_err(crate::error::Error::Io)?;

@@ -78,7 +78,12 @@ fn best_names(vocabulary: &[(&Noun, Arc<[f32]>)], logits: &[f32], norm: f32) -> 
     let mut order: Vec<usize> = (0..logits.len()).collect();
     order.sort_by(|&a, &b| logits[b].total_cmp(&logits[a]).then(a.cmp(&b)));
     let guess = |i: usize| NameGuess { name: vocabulary[i].0.name.clone(), score: (logits[i] - norm).exp().min(1.0) };
-    order.into_iter().take(KEPT_NAMES).map(guess).filter(|guess| guess.score >= MIN_NAME_SHARE).collect()
+    order
+        .into_iter()
+        .take(KEPT_NAMES)
+        .map(guess)
+        .filter(|guess| guess.score >= MIN_NAME_SHARE)
+        .collect()
 }
 
 /// Logarithm of the sum of exponentials.

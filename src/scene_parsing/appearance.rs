@@ -1,7 +1,7 @@
 //! Appearance: each instance as one vector, the mean over crops of several views (paper: multi-scale crops, 5 levels, 10 views).
 
-use super::correction::{Corrector, Projection};
 use super::ParseError;
+use super::correction::{Corrector, Projection};
 use super::views::{Sighting, sightings, visible_pixels};
 use crate::models::neural::{DualEncoder, ModelError};
 use crate::progress::Progress;
@@ -203,15 +203,20 @@ mod tests {
     use crate::scene::{Support, View};
 
     fn sighting(instance: u32, frame: u32, visible_points: u32) -> Sighting {
-        Sighting { instance: InstanceId(instance), view: View { frame: FrameIndex(frame), visible_points, box_px: [frame, 0, frame + 9, 9] } }
+        Sighting {
+            instance: InstanceId(instance),
+            view: View { frame: FrameIndex(frame), visible_points, box_px: [frame, 0, frame + 9, 9] },
+        }
     }
 
     #[test]
     fn views_that_show_enough_are_looked_at_and_the_best_always() {
         let instances: Vec<Instance> = (1..=2).map(|id| thing(id, [0.0, 0.0], [1.0, 1.0, 1.0], 0.0, Support::Floor, [90; 3])).collect();
-        let seen = [sighting(1, 0, 900), sighting(1, 1, 100), sighting(1, 2, 400), sighting(1, 3, 500), sighting(2, 1, 7), sighting(2, 2, 5)];
+        let seen =
+            [sighting(1, 0, 900), sighting(1, 1, 100), sighting(1, 2, 400), sighting(1, 3, 500), sighting(2, 1, 7), sighting(2, 2, 5)];
         let settings = AppearanceSettings { views: 2, ..AppearanceSettings::default() };
-        let frames_of = |boxes: &Boxes, id| boxes.iter().filter(|(_, b)| b.contains_key(&InstanceId(id))).map(|(f, _)| f.0).collect::<Vec<_>>();
+        let frames_of =
+            |boxes: &Boxes, id| boxes.iter().filter(|(_, b)| b.contains_key(&InstanceId(id))).map(|(f, _)| f.0).collect::<Vec<_>>();
         let chosen = choose(&instances, &seen, &settings);
         assert_eq!((frames_of(&chosen, 1), frames_of(&chosen, 2)), (vec![0, 3], vec![1]));
         assert_eq!(chosen[&FrameIndex(3)][&InstanceId(1)], [3, 0, 12, 9]);
@@ -235,7 +240,11 @@ mod tests {
         let both = embed(&picture, &boxes, &encoder, &settings).unwrap();
         let alone = embed(&picture, &BTreeMap::from([(InstanceId(2), [30, 10, 80, 50])]), &encoder, &settings).unwrap();
         assert!(both[1].1.iter().zip(&alone[0].1).all(|(a, b)| (a - b).abs() < 1e-4));
-        let sums: Vec<f64> = both.iter().flat_map(|(_, sum)| sum.iter().map(|v| f64::from(*v))).chain(vec![0.0; encoder.dim()]).collect();
+        let sums: Vec<f64> = both
+            .iter()
+            .flat_map(|(_, sum)| sum.iter().map(|v| f64::from(*v)))
+            .chain(vec![0.0; encoder.dim()])
+            .collect();
         let rows = finish(&sums, encoder.dim());
         let norms: Vec<f32> = rows.chunks(encoder.dim()).map(|row| row.iter().map(|v| v * v).sum::<f32>()).collect();
         assert!((norms[0] - 1.0).abs() < 1e-5 && (norms[1] - 1.0).abs() < 1e-5 && norms[2] == 0.0);

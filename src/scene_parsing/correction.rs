@@ -54,7 +54,12 @@ impl Corrector<'_> {
     ///
     /// # Errors
     /// [`ModelError`]: a failed call.
-    pub fn tight_box(&self, encoded: &Encoded, projection: &Projection, (width, height): (u32, u32)) -> Result<Option<[u32; 4]>, ModelError> {
+    pub fn tight_box(
+        &self,
+        encoded: &Encoded,
+        projection: &Projection,
+        (width, height): (u32, u32),
+    ) -> Result<Option<[u32; 4]>, ModelError> {
         let segmenter = &self.frames.segmenter;
         let scale = segmenter.low_scale(encoded);
         let pixels = projection.pixels;
@@ -62,8 +67,9 @@ impl Corrector<'_> {
             return Ok(None);
         }
         let mut draw = Draw::of(projection);
-        let prompts: Vec<Prompt> =
-            (0..self.settings.rounds).map(|_| Prompt::inside((0..self.settings.points).map(|_| pixels[draw.below(pixels.len())]))).collect();
+        let prompts: Vec<Prompt> = (0..self.settings.rounds)
+            .map(|_| Prompt::inside((0..self.settings.points).map(|_| pixels[draw.below(pixels.len())])))
+            .collect();
         let covered = Covered::by(pixels, scale, segmenter.mask_size());
         let masks = segmenter.decode(encoded, &prompts)?;
         let judged = masks.into_iter().flatten().map(|mask| {
@@ -131,11 +137,12 @@ fn bounds(mask: &LowMask, threshold: f32, scale: (f32, f32), (width, height): (u
     let total: u32 = rows.iter().sum();
     let reaches = |counts: &mut dyn Iterator<Item = &u32>| {
         let mut sum = 0;
-        counts.take_while(|count| {
-            sum += **count;
-            sum as f32 <= total as f32 * CRUMBS
-        })
-        .count()
+        counts
+            .take_while(|count| {
+                sum += **count;
+                sum as f32 <= total as f32 * CRUMBS
+            })
+            .count()
     };
     let span = |counts: &[u32], scale: f32, length: u32| {
         let (first, last) = (reaches(&mut counts.iter()), size - reaches(&mut counts.iter().rev()));

@@ -142,10 +142,17 @@ pub fn parse(
     let rows = match perception.is_neural() {
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
-            let labelled =
-                Labelled { cloud: &cloud, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
+            let labelled = Labelled { cloud: &cloud, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
             let looking = progress.part(0.9, 1.0);
-            let (rows, boxes) = appearance::look(&frames, &instances, looked_at, labelled, (perception.corrector.as_ref(), perception.encoder), &settings.appearance, &looking)?;
+            let (rows, boxes) = appearance::look(
+                &frames,
+                &instances,
+                looked_at,
+                labelled,
+                (perception.corrector.as_ref(), perception.encoder),
+                &settings.appearance,
+                &looking,
+            )?;
             views::tighten(&mut instances, &boxes);
             outcome.produced = boxes.values().map(std::collections::BTreeMap::len).sum();
             Ok::<_, ParseError>(rows)

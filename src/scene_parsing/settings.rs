@@ -147,7 +147,11 @@ impl ParsingSettings {
             ("/correction/min_agreement", share(correction.min_agreement), "0 to 1"),
             ("/appearance/views", (1..=100).contains(&appearance.views), "1 to 100"),
             ("/appearance/min_visible", share(appearance.min_visible), "0 to 1"),
-            ("/appearance/levels", (1..=16).contains(&appearance.levels) && share(appearance.level_step), "1 to 16, steps of 0 to 1"),
+            (
+                "/appearance/levels",
+                (1..=16).contains(&appearance.levels) && share(appearance.level_step),
+                "1 to 16, steps of 0 to 1",
+            ),
         ];
         rules
             .into_iter()

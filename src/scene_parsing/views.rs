@@ -32,7 +32,12 @@ pub struct Sighting {
 
 /// The visible points of every instance this frame shows, sorted by instance, then column and row in its colour picture.
 #[must_use]
-pub fn visible_pixels(cloud: &PointCloud, instance_of_point: &[InstanceId], frame: &Frame, depth_tolerance: f32) -> Vec<(InstanceId, f32, f32)> {
+pub fn visible_pixels(
+    cloud: &PointCloud,
+    instance_of_point: &[InstanceId],
+    frame: &Frame,
+    depth_tolerance: f32,
+) -> Vec<(InstanceId, f32, f32)> {
     let mut hits: Vec<(InstanceId, f32, f32)> = cloud
         .positions
         .par_iter()

@@ -8,8 +8,8 @@ use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::grounding::direction::{DirectionConvention, Observer};
 use crate::grounding::query::{BuiltinParser, ParsedQuery, QueryParser, Reading, VlmParser};
 use crate::grounding::{
-    self, Alternative, Appearance, Candidate, Grounding, ParsedQuerySummary, QueryText, Question, SceneView, ShortlistScoring, SixFields, Status,
-    Timings,
+    self, Alternative, Appearance, Candidate, Grounding, ParsedQuerySummary, QueryText, Question, SceneView, ShortlistScoring, SixFields,
+    Status, Timings,
 };
 use crate::models::attributes;
 use crate::models::chat::ChatReply;

@@ -51,7 +51,8 @@ mod tests {
     fn the_least_recently_used_parse_leaves_first() {
         let cache = ParseCache::default();
         let extent = Aabb { center: Point3::origin(), size: Vector3::zeros() };
-        let parse = || Arc::new(LoadedParse { instances: Vec::new(), extent, masks: String::new(), encoder: String::new(), embeddings: None });
+        let parse =
+            || Arc::new(LoadedParse { instances: Vec::new(), extent, masks: String::new(), encoder: String::new(), embeddings: None });
         (0..CAPACITY).for_each(|i| cache.put(&i.to_string(), parse()));
         assert!(cache.get("0").is_some());
         cache.put("new", parse());

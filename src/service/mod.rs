@@ -15,7 +15,7 @@ pub use answering::{
     ShortlistRequest, Shortlisted, Trace, Usage,
 };
 pub use instances::{InstanceList, InstanceView, ViewPicture};
-pub use parsing::{ModelChoice, PARSE_JOB, ParseModels, PartChoice, ParsePreset, ParseSettings, ParsedScan, parse_scan};
+pub use parsing::{ModelChoice, PARSE_JOB, ParseModels, ParsePreset, ParseSettings, ParsedScan, PartChoice, parse_scan};
 pub use reports::{ReportPictureLink, SceneReport};
 pub use scenes::{Scene, SceneCounts, SceneList, SceneStatus};
 pub use uploads::NewScene;

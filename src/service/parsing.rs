@@ -9,12 +9,12 @@ use crate::models::neural::{Models, Role};
 use crate::progress::Progress;
 use crate::scene::{FrameRef, ImportReport, ParsedScene, write_cloud_ply, write_instances_ply};
 use crate::scene_parsing::checkpoints::Checkpoints;
-use crate::scene_parsing::evidence::{EvidencePicture, Picture};
 use crate::scene_parsing::correction::Corrector;
+use crate::scene_parsing::evidence::{EvidencePicture, Picture};
 use crate::scene_parsing::masks::MaskSource;
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
 use crate::scene_parsing::masks::sam::{EncodedFrames, SamMasks};
-use crate::scene_parsing::{self, Outcome, ParseError, Perception, ParsingSettings, Stopwatch, evidence, report_pictures};
+use crate::scene_parsing::{self, Outcome, ParseError, ParsingSettings, Perception, Stopwatch, evidence, report_pictures};
 use crate::store::{NewParse, SceneRow, Scratch};
 use camino::{Utf8Path, Utf8PathBuf};
 use futures::FutureExt;
@@ -319,7 +319,10 @@ pub fn parse_scan(
     match parse_with(content, settings, &settings.models.of(models), checkpoints, progress) {
         Err(Error::Parse(ParseError::Model(error))) if settings.models.allow_builtin => {
             let mut scan = parse_with(content, settings, &ModelChoice::BUILTIN.of(models), checkpoints, progress)?;
-            scan.scene.report.warnings.push(format!("a model failed and the built-in parts did the work: {error}"));
+            scan.scene
+                .report
+                .warnings
+                .push(format!("a model failed and the built-in parts did the work: {error}"));
             Ok(scan)
         }
         parsed => parsed,
@@ -349,8 +352,14 @@ fn parse_with(
     let parsing = &settings.parsing;
     let rgbd = RgbdMasks { settings: parsing.rgbd_masks };
     let max_bytes = u64::from(parsing.sam_masks.cache_mb) << 20;
-    let encoded = models.segmenter.clone().map(|segmenter| EncodedFrames::new(segmenter, checkpoints.folder(), max_bytes)).transpose()?;
-    let sam = encoded.as_ref().map(|frames| SamMasks { frames, settings: parsing.sam_masks, name: names.masks.clone() });
+    let encoded = models
+        .segmenter
+        .clone()
+        .map(|segmenter| EncodedFrames::new(segmenter, checkpoints.folder(), max_bytes))
+        .transpose()?;
+    let sam = encoded
+        .as_ref()
+        .map(|frames| SamMasks { frames, settings: parsing.sam_masks, name: names.masks.clone() });
     let perception = Perception {
         masks: sam.as_ref().map_or(&rgbd, |sam| sam as &dyn MaskSource),
         corrector: encoded.as_ref().map(|frames| Corrector { frames, settings: parsing.correction }),

@@ -1,6 +1,6 @@
 //! Scenes as the outside sees them.
 
-use super::parsing::{ParseModels, ParseSettings};
+use super::parsing::{EMBEDDINGS_FILE, ParseModels, ParseSettings};
 use super::{Service, uploads};
 use crate::error::Error;
 use crate::geometry::boxes::Aabb;
@@ -115,6 +115,18 @@ impl Service {
     pub async fn parse_file(&self, scene_id: &str, file: &str) -> Result<Utf8PathBuf, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         Ok(self.store.blobs.parse(&parse_id).join(file))
+    }
+
+    /// The embeddings of the current parse.
+    ///
+    /// # Errors
+    /// Those of [`parse_file`](Self::parse_file); [`Error::NoEmbeddings`] when no encoder has seen the scene.
+    pub async fn embeddings_file(&self, scene_id: &str) -> Result<Utf8PathBuf, Error> {
+        let file = self.parse_file(scene_id, EMBEDDINGS_FILE).await?;
+        match tokio::fs::try_exists(&file).await? {
+            true => Ok(file),
+            false => Err(Error::NoEmbeddings { scene_id: scene_id.into() }),
+        }
     }
 
     pub(super) async fn scene_row(&self, id: &str) -> Result<SceneRow, Error> {

@@ -3,6 +3,7 @@
 use crate::shared_scenes::shared_scene;
 use camino::Utf8Path;
 use std::fs;
+use uniground::config::BundlesConfig;
 use uniground::evaluation::annotations::Annotations;
 use uniground::evaluation::configuration::{self, Configuration};
 use uniground::evaluation::report::{CellReport, Report, RunFacts};
@@ -165,7 +166,7 @@ fn parsed_rooms_are_answered_without_any_model() {
     let out = tempfile::tempdir().unwrap();
     let cells = configuration::cells("source=parsed", &Configuration::default()).unwrap();
     let options = RunOptions { out: Utf8Path::from_path(out.path()).unwrap(), cells: &cells, concurrency: 1, progress: &|_| {} };
-    let results = run(&suite, &InProcess::new(None, None).unwrap(), &options).unwrap();
+    let results = run(&suite, &InProcess::new(BundlesConfig::default(), None, None).unwrap(), &options).unwrap();
     let facts = RunFacts {
         system: "in process".into(),
         version: String::new(),

@@ -5,8 +5,18 @@ use camino::{Utf8Path, Utf8PathBuf};
 use image::RgbImage;
 use serde::Deserialize;
 use serde_json::Value;
+use std::collections::BTreeSet;
 use std::fs;
-use uniground::models::neural::{DualEncoder, Engine, Models, PointLabel, Prompt, RuntimeSettings, Segmenter};
+use std::time::Duration;
+use uniground::evaluation::annotated::Room;
+use uniground::evaluation::annotations::Annotations;
+use uniground::evaluation::segmentation::score_instances;
+use uniground::evaluation::systems::{Names, instances_of, see};
+use uniground::models::neural::{DualEncoder, Engine, Models, PointLabel, Prompt, RemoteServer, RuntimeSettings, Segmenter};
+use uniground::progress::Progress;
+use uniground::scene_parsing::checkpoints::Checkpoints;
+use uniground::scene_parsing::masks::sam::{EncodedFrames, SamMasks};
+use uniground::scene_parsing::{self, ParsingSettings, Perception};
 
 fn root() -> &'static Utf8Path {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -36,6 +46,11 @@ fn segmenter() -> std::sync::Arc<Segmenter> {
         .unwrap()
         .segmenter
         .unwrap()
+}
+
+/// The annotated rooms, which lie beside the checkout where this project is built.
+fn room(name: &str, scratch: &tempfile::TempDir) -> Room {
+    Room::load(&root().join("../shared/scenes"), name, Utf8Path::from_path(scratch.path()).unwrap()).unwrap()
 }
 
 fn picture(path: &str) -> RgbImage {
@@ -130,5 +145,114 @@ fn sam2_masks_are_those_of_the_python_reference() {
             );
             assert!(iou >= 0.95, "{name}");
         }
+    }
+}
+
+/// The same sentences as open_clip's own tokenizer cuts them, for a Perception Encoder: `scripts/fetch-pe-tokenizer.sh` makes the file.
+#[test]
+#[ignore = "needs models: make test-models"]
+fn the_perception_encoders_tokens_are_open_clips() {
+    let tokenizer = tokenizers::Tokenizer::from_file(root().join("models/pe-tokenizer.json")).unwrap();
+    let known: Value = serde_json::from_str(&fs::read_to_string(golden("pe-tokenizer.json")).unwrap()).unwrap();
+    let expected: Vec<Vec<u32>> = serde_json::from_value(known["input_ids"].clone()).unwrap();
+    let texts = strings(&known["texts"]);
+    for (text, expected) in texts.iter().zip(&expected) {
+        assert_eq!(tokenizer.encode(text.as_str(), true).unwrap().get_ids(), expected, "{text:?}");
+    }
+    println!("{} of {} sentences equal", texts.len(), texts.len());
+}
+
+/// What masks of SAM 2 tiny make of a room, against the prototype's figures.
+#[test]
+#[ignore = "needs models: make test-models"]
+fn sam2_masks_cut_rooms_into_their_things() {
+    for (name, least) in [("room1", [0.87, 0.73]), ("room2", [0.89, 0.67])] {
+        let scratch = tempfile::tempdir().unwrap();
+        let room = room(name, &scratch);
+        let frames = EncodedFrames::new(segmenter(), None, 0).unwrap();
+        let settings = ParsingSettings::default();
+        let masks = SamMasks { frames: &frames, settings: settings.sam_masks, name: "sam2-hiera-tiny".into() };
+        let perception = Perception::with_masks(&masks);
+        let parsed = scene_parsing::parse(room.bundle.clone(), &perception, &settings, &Checkpoints::none(), &Progress::silent()).unwrap();
+        let score = score_instances(&parsed, &room.objects(200), &room.truth);
+        let recall = score.box_recall();
+        println!(
+            "{name}: box recall {recall:.3?}, point-set recall {:.3?}, {} instances",
+            score.point_recall(),
+            parsed.instances.len()
+        );
+        assert!(recall[0] >= least[0] && recall[1] >= least[1], "{name}: {recall:?}");
+    }
+}
+
+/// Names of objects as queries over annotated instances, by appearance alone: is the right one among the first five?
+#[test]
+#[ignore = "needs models: make test-models"]
+fn clip_finds_annotated_things_by_their_names() {
+    let encoder = encoder();
+    for (name, least) in [("room1", 0.95), ("room2", 0.75)] {
+        let scratch = tempfile::tempdir().unwrap();
+        let room = room(name, &scratch);
+        let folder = root().join("../shared/scenes");
+        let (annotations, _) = Annotations::read(&Annotations::file_of(&folder, name).unwrap());
+        let cloud = &room.bundle.cloud;
+        let mut instances = instances_of(&annotations, cloud, Names::Encoder);
+        let settings = ParsingSettings::default();
+        let seen = see(&annotations, &mut instances, cloud, &room.bundle.frames, &encoder, &settings).unwrap();
+        // Structure is no object; names come from the annotations.
+        let things: Vec<usize> = (0..instances.len()).filter(|&i| instances[i].structure.is_none() && seen.is_seen(i)).collect();
+        let named = |i: usize| annotations.objects[i].name.as_str();
+        let names: BTreeSet<&str> = things.iter().map(|&i| named(i)).collect();
+        for (scores, least) in [("plain cosine", least), ("against the vocabulary", 0.0)] {
+            let (mut first, mut in_five) = (0, 0);
+            for name in &names {
+                let cosines = encoder.embed_name(name).unwrap().vector.map_or_else(|| vec![0.0; seen.len()], |v| seen.cosines(&v));
+                let score = |i: usize| match scores {
+                    "plain cosine" => cosines[i],
+                    _ => encoder.logit_scale() * cosines[i] - seen.norms()[i].appearance,
+                };
+                let mut order = things.clone();
+                order.sort_by(|&a, &b| score(b).total_cmp(&score(a)).then(a.cmp(&b)));
+                first += u32::from(named(order[0]) == *name);
+                in_five += u32::from(order.iter().take(5).any(|&i| named(i) == *name));
+            }
+            let share = |count: u32| f64::from(count) / names.len() as f64;
+            println!(
+                "{name}, {scores}: {} names over {} instances: first {:.3}, in five {:.3}",
+                names.len(),
+                things.len(),
+                share(first),
+                share(in_five)
+            );
+            assert!(share(in_five) >= least, "{name}");
+        }
+    }
+}
+
+/// The same networks behind a real server of the protocol (`tests/kserve/server.py`) give the same answers.
+#[test]
+#[ignore = "needs an inference server: make test-models"]
+fn networks_answer_alike_here_and_behind_a_server() {
+    let address = std::env::var("KSERVE_URL").expect("KSERVE_URL: scripts/test-models.sh starts a server");
+    let remote = Engine::Remote(RemoteServer::new(&address, Duration::from_secs(60)).unwrap());
+    let data = root().join("tests/data");
+    let [here, there] =
+        [engine(), remote].map(|engine| Models::default().with_encoder(&engine, &data.join("tiny-dual-encoder")).unwrap().encoder.unwrap());
+    let pictures: Vec<RgbImage> = (1..12)
+        .map(|i| RgbImage::from_fn(70, 50, |x, y| image::Rgb([(x * i) as u8, (y * 2) as u8, i as u8])))
+        .collect();
+    for (a, b) in here.embed_pictures(&pictures).unwrap().iter().zip(&there.embed_pictures(&pictures).unwrap()) {
+        assert!(cosine(a, b) > 0.999_99);
+    }
+    let text = "the small blue mug";
+    assert!(cosine(&here.embed_text(text).unwrap().vector.unwrap(), &there.embed_text(text).unwrap().vector.unwrap()) > 0.999_99);
+    let remote = Engine::Remote(RemoteServer::new(&address, Duration::from_secs(60)).unwrap());
+    let [here, there] = [engine(), remote]
+        .map(|engine| Models::default().with_segmenter(&engine, &data.join("tiny-segmenter")).unwrap().segmenter.unwrap());
+    let prompts: Vec<Prompt> = (0..20).map(|i| Prompt::inside([(i as f32 * 3.0, 20.0)])).collect();
+    let masks = |segmenter: &Segmenter| segmenter.decode(&segmenter.encode(&pictures[3]).unwrap(), &prompts).unwrap();
+    for (a, b) in masks(&here).iter().flatten().zip(masks(&there).iter().flatten()) {
+        assert!((a.predicted_iou - b.predicted_iou).abs() < 1e-4);
+        assert!(a.logits.iter().zip(&b.logits).all(|(x, y)| (x - y).abs() < 1e-3));
     }
 }

@@ -6,7 +6,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use uniground::app::{self, RunningService};
 use uniground::client::{Client, ClientError};
-use uniground::config::{AccessConfig, LimitsConfig, LogConfig, LogFormat, ServeConfig, VlmConfig};
+use uniground::config::{AccessConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig, VlmConfig};
 use uniground::http::Problem;
 use uniground::jobs::Job;
 use uniground::service::{GroundRequest, Scene};
@@ -28,11 +28,16 @@ impl TestServer {
     }
 
     pub async fn start_configured(limits: LimitsConfig, vlm: VlmConfig) -> Self {
-        let data = tempfile::tempdir().unwrap();
+        Self::start_on(tempfile::tempdir().unwrap(), limits, vlm, ModelsConfig::default()).await
+    }
+
+    /// A server on a data folder that may have been another server's.
+    pub async fn start_on(data: tempfile::TempDir, limits: LimitsConfig, vlm: VlmConfig, models: ModelsConfig) -> Self {
         let config = ServeConfig {
             listen: "127.0.0.1:0".parse().unwrap(),
             data_dir: Utf8PathBuf::try_from(data.path().to_owned()).unwrap(),
             access: AccessConfig::default(),
+            models,
             vlm,
             limits,
             log: LogConfig { log_format: LogFormat::Text },
@@ -62,7 +67,13 @@ impl TestServer {
     }
 
     pub async fn stop(self) {
+        self.give_back().await;
+    }
+
+    /// Stops and hands back the data folder, for the next server.
+    pub async fn give_back(self) -> tempfile::TempDir {
         self.running.stop().await.unwrap();
+        self.data
     }
 }
 

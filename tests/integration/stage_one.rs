@@ -10,12 +10,13 @@ use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_
 use uniground::geometry::Point3;
 use uniground::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use uniground::ingest::{self, ImportSettings};
+use uniground::models::neural::ModelError;
 use uniground::progress::Progress;
 use uniground::scene::{Frame, ImportReport, ParsedScene, PointCloud, PoseConvention, SceneBundle, Structure};
 use uniground::scene_parsing::checkpoints::Checkpoints;
 use uniground::scene_parsing::masks::rgbd::RgbdMasks;
 use uniground::scene_parsing::masks::{IdImage, MaskSource};
-use uniground::scene_parsing::{self, ParseError, ParsingSettings, superpoints};
+use uniground::scene_parsing::{self, ParseError, ParsingSettings, Perception, superpoints};
 
 /// Objects with fewer points are left out of recall.
 const MIN_POINTS: u32 = 200;
@@ -28,7 +29,8 @@ fn with_room(name: &str, test: impl FnOnce(Room)) {
 }
 
 fn parse(bundle: SceneBundle, masks: &dyn MaskSource) -> ParsedScene {
-    scene_parsing::parse(bundle, masks, &ParsingSettings::default(), &Checkpoints::none(), &Progress::silent()).unwrap()
+    scene_parsing::parse(bundle, &Perception::with_masks(masks), &ParsingSettings::default(), &Checkpoints::none(), &Progress::silent())
+        .unwrap()
 }
 
 fn score(room: &Room, masks: &dyn MaskSource) -> InstanceScore {
@@ -142,7 +144,7 @@ impl MaskSource for Watched {
         "watched"
     }
 
-    fn masks(&self, frame: &Frame) -> IdImage {
+    fn masks(&self, frame: &Frame) -> Result<IdImage, ModelError> {
         if self.frames.fetch_add(1, Ordering::SeqCst) + 1 == self.stop_after {
             self.stop.cancel();
         }
@@ -164,7 +166,7 @@ fn a_cancelled_parse_goes_on_where_it_stopped() {
     let settings = ParsingSettings::default();
     let run = |watched: &Watched, settings: &ParsingSettings| {
         let progress = Progress::new(|_, _| {}, watched.stop.clone());
-        scene_parsing::parse(bundle.clone(), watched, settings, &checkpoints, &progress)
+        scene_parsing::parse(bundle.clone(), &Perception::with_masks(watched), settings, &checkpoints, &progress)
     };
     let reused = |parsed: &ParsedScene| parsed.report.stages.iter().filter(|s| s.reused).map(|s| s.stage.clone()).collect::<Vec<_>>();
 
@@ -202,7 +204,14 @@ fn kept_frames_must_be_those_of_the_scan() {
     let checkpoints = Checkpoints::kept_in(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
     let frames_segmented = |bundle: &SceneBundle| {
         let watched = Watched::new(usize::MAX, CancellationToken::new());
-        scene_parsing::parse(bundle.clone(), &watched, &ParsingSettings::default(), &checkpoints, &Progress::silent()).unwrap();
+        scene_parsing::parse(
+            bundle.clone(),
+            &Perception::with_masks(&watched),
+            &ParsingSettings::default(),
+            &checkpoints,
+            &Progress::silent(),
+        )
+        .unwrap();
         watched.seen()
     };
     let all = bundle.frames.len();
@@ -259,7 +268,7 @@ fn odd_clouds_become_instances_or_a_clear_error() {
     }
     let nothing = scene_parsing::parse(
         bare(Vec::new()),
-        &RgbdMasks::default(),
+        &Perception::with_masks(&RgbdMasks::default()),
         &ParsingSettings::default(),
         &Checkpoints::none(),
         &Progress::silent(),

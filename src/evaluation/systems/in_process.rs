@@ -2,6 +2,7 @@
 
 use super::oracle::{Names, give_name, instances_of, see};
 use super::{OpenScene, System};
+use crate::config::{BundlesConfig, ModelsConfig};
 use crate::evaluation::annotations::Annotations;
 use crate::evaluation::configuration::{Configuration, Source};
 use crate::evaluation::digest;
@@ -9,7 +10,6 @@ use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
 use crate::evaluation::sealed::OracleRun;
 use crate::evaluation::suite::{Expression, Hints, SuiteScene};
 use crate::geometry::boxes::Aabb;
-use crate::config::{BundlesConfig, ModelsConfig};
 use crate::grounding::query::{self, BuiltinParser, QueryParser, VlmParser};
 use crate::grounding::{self, Appearance, Question, SceneView, ShortlistScoring};
 use crate::ingest::{self, Unpacked};
@@ -64,7 +64,12 @@ impl InProcess {
         let bytes = fs::read(&executable).with_context(|| executable.display().to_string())?;
         let program = digest::of(&bytes);
         // What was answered off this tape is not on it.
-        let fingerprint = format!("{program} {} {} {}", bundles.models, vlm.as_ref().map_or("", |client| client.model()), tape.map_or("", Utf8Path::as_str));
+        let fingerprint = format!(
+            "{program} {} {} {}",
+            bundles.models,
+            vlm.as_ref().map_or("", |client| client.model()),
+            tape.map_or("", Utf8Path::as_str)
+        );
         let vlm = match vlm {
             Some(client) => {
                 let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
@@ -135,7 +140,10 @@ impl System for InProcess {
             (Some(asker), ParserChoice::Vlm) => asker.parser.name(),
             _ => BuiltinParser.name(),
         };
-        let encoder = models.label(Role::Encoder).filter(|_| embeddings.is_some()).unwrap_or_else(|| attributes::NAME.into());
+        let encoder = models
+            .label(Role::Encoder)
+            .filter(|_| embeddings.is_some())
+            .unwrap_or_else(|| attributes::NAME.into());
         let seen = models.encoder.zip(embeddings);
         let models = Models { masks, encoder, parser, reasoner: service::BUILTIN_REASONER.into() };
         let boxes = instances.iter().map(|i| i.aabb).collect();

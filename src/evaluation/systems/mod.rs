@@ -10,7 +10,7 @@ use super::suite::{Expression, Hints, SuiteScene};
 use crate::geometry::boxes::Aabb;
 use crate::scene::PointCloud;
 pub use in_process::InProcess;
-pub use oracle::{Names, instances_of};
+pub use oracle::{Names, instances_of, see};
 pub use server::Server;
 
 /// Something that answers expressions about scenes.

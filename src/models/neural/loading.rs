@@ -94,8 +94,10 @@ impl Engine {
             Self::Local(_) => bundle.fingerprint(true, &[]),
             Self::Remote(server) => {
                 let (networks, _) = bundle.files();
-                let identities =
-                    networks.into_iter().map(|file| Ok(server.open(&network_name(bundle, file))?.identity)).collect::<Result<Vec<_>, ModelError>>()?;
+                let identities = networks
+                    .into_iter()
+                    .map(|file| Ok(server.open(&network_name(bundle, file))?.identity))
+                    .collect::<Result<Vec<_>, ModelError>>()?;
                 bundle.fingerprint(false, &identities)
             }
         }

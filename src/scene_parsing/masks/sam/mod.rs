@@ -221,7 +221,9 @@ fn cell_lookup(window: Window, (width, height): (u32, u32), mask_size: usize) ->
     (0..GRID)
         .flat_map(|v| {
             let row = low(v, height, window.top, window.height, window.scale.1);
-            columns.iter().map(move |column| row.zip(*column).map_or(OUTSIDE, |(row, column)| row * mask_size as u32 + column))
+            columns
+                .iter()
+                .map(move |column| row.zip(*column).map_or(OUTSIDE, |(row, column)| row * mask_size as u32 + column))
         })
         .collect()
 }
@@ -237,7 +239,12 @@ mod tests {
     fn frame() -> Frame {
         let intrinsics = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 47.5, cy: 31.5 };
         let camera = Camera::new(intrinsics, &Isometry3::identity());
-        let color = RgbImage::from_fn(96, 64, |x, y| if (30..60).contains(&x) && (20..44).contains(&y) { Rgb([220, 30, 30]) } else { Rgb([40, 60, 90]) });
+        let color =
+            RgbImage::from_fn(
+                96,
+                64,
+                |x, y| if (30..60).contains(&x) && (20..44).contains(&y) { Rgb([220, 30, 30]) } else { Rgb([40, 60, 90]) },
+            );
         let depth = DepthImage { width: 96, height: 64, depth_m: vec![2.0; 96 * 64] };
         Frame { index: FrameIndex(0), color, depth, color_camera: camera, depth_camera: camera }
     }
@@ -250,7 +257,8 @@ mod tests {
     /// Random weights: nothing can be said about the masks but that they are there, bounded, and the same every time.
     #[test]
     fn a_grid_of_points_gives_one_id_image_whatever_the_family() {
-        let open = SamSettings { points_per_side: 4, min_predicted_iou: -10.0, min_stability: 0.0, max_area: 1.0, ..SamSettings::default() };
+        let open =
+            SamSettings { points_per_side: 4, min_predicted_iou: -10.0, min_stability: 0.0, max_area: 1.0, ..SamSettings::default() };
         for bundle in ["tiny-segmenter", "tiny-segmenter-sam"] {
             let found = masks(bundle, open);
             assert_eq!((found.width, found.height), (96, 64));
@@ -278,7 +286,8 @@ mod tests {
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();
         let sam = SamMasks { frames: &frames, settings: SamSettings::default(), name: "tiny".into() };
         let window = Window { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
-        let candidate = |quality: f32, cells: u64| Candidate { quality, cells: vec![cells], area: cells.count_ones(), logits: Vec::new(), window };
+        let candidate =
+            |quality: f32, cells: u64| Candidate { quality, cells: vec![cells], area: cells.count_ones(), logits: Vec::new(), window };
         let kept = sam.select(vec![candidate(0.6, 0xff), candidate(0.9, 0x7f), candidate(0.5, 0xff00)]);
         assert_eq!(kept.iter().map(|c| c.quality).collect::<Vec<_>>(), [0.9, 0.5]);
     }

@@ -2,9 +2,9 @@
 
 use super::super::IdImage;
 use super::{Candidate, GRID, MaskOrder, SamSettings};
+use crate::models::neural::LowMask;
 use crate::scene::Frame;
 use half::slice::HalfFloatSliceExt;
-use crate::models::neural::LowMask;
 
 /// Paints masks over each other, in the order of the settings. Ids count from 1 in that order.
 pub(super) fn paint(mut masks: Vec<Candidate>, threshold: f32, settings: &SamSettings, frame: &Frame) -> IdImage {
