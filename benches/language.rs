@@ -1,4 +1,4 @@
-//! Reading a question, and deciding it over 200 and 5,000 instances: `cargo bench --bench language`. One core.
+//! Reading a question, deciding it over 200 and 5,000 instances, and the shortlist over embeddings: `cargo bench --bench language`.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -7,12 +7,13 @@ use std::hint::black_box;
 use uniground::evaluation::annotations::{Annotations, SceneObject};
 use uniground::evaluation::systems::{Names, instances_of};
 use uniground::geometry::boxes::Aabb;
+use uniground::geometry::statistics::largest;
 use uniground::geometry::{Point3, Vector3};
 use uniground::grounding::direction::DirectionConvention;
 use uniground::grounding::query::parse;
 use uniground::grounding::{Question, SceneView, ground};
 use uniground::models::attributes::Lexicon;
-use uniground::scene::{Instance, PointCloud};
+use uniground::scene::{Embeddings, Instance, PointCloud};
 
 const QUESTIONS: [&str; 6] = [
     "the black chair closest to the door",
@@ -68,5 +69,23 @@ fn deciding(c: &mut Criterion) {
     group.finish();
 }
 
-criterion_group!(benches, reading, deciding);
+/// The five instances nearest to a query of 1,024 dimensions, by exact cosines.
+fn shortlisting(c: &mut Criterion) {
+    const DIM: usize = 1024;
+    let mut group = c.benchmark_group("shortlist");
+    group.sample_size(10);
+    for (count, cores) in [(10_000, 1), (1_000_000, 1), (1_000_000, 2)] {
+        let row: Vec<f32> = (0..count * DIM).map(|i| (i.wrapping_mul(2_654_435_761) % 1000) as f32 / 16_000.0 - 0.03).collect();
+        let embeddings = Embeddings::new(DIM, &row);
+        let query = row[..DIM].to_vec();
+        drop(row);
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(cores).build().unwrap();
+        group.bench_function(format!("{count} instances, {cores} cores"), |b| {
+            b.iter(|| pool.install(|| largest(&embeddings.cosines(black_box(&query)), 5)));
+        });
+    }
+    group.finish();
+}
+
+criterion_group!(benches, reading, deciding, shortlisting);
 criterion_main!(benches);

@@ -21,9 +21,12 @@ mod vccs;
 use anyhow::Context;
 use camino::{Utf8Path, Utf8PathBuf};
 use duel::Comparison;
+use image::{Rgb, RgbImage};
 use process::Peer;
+use rows::Asked;
 use rows::Input;
 use uniground::evaluation::annotated::Room;
+use uniground::models::neural::{Engine, Models, RuntimeSettings};
 use vccs::Vccs;
 
 #[derive(Default)]
@@ -66,14 +69,16 @@ fn main() {
 
     let vccs = pcl.context("no --pcl PROGRAM given").and_then(|program| Vccs::new(&program, &input.cloud, scratch));
     let open3d = Peer::start(python.as_deref(), "open3d_peer.py", &input.for_open3d());
-    let onnxruntime = model(beside("../shared/models/tiny-dual-encoder"), python.as_deref());
+    let bundle = beside("models/sam2-hiera-tiny");
+    let asked = segmenter(&bundle);
+    let onnxruntime = model(&bundle, python.as_deref());
 
     let mut comparisons = rows::superpoints(&input, &vccs);
     comparisons.push(rows::reading(&input, &open3d));
     comparisons.push(rows::thinning(&input, &open3d));
     comparisons.extend(rows::normals(&input, &open3d));
     comparisons.extend(rows::drawing(&input, &open3d));
-    comparisons.extend(rows::encoding(&onnxruntime));
+    comparisons.extend(rows::perception(&asked, &onnxruntime));
     let outcomes: Vec<_> = comparisons.into_iter().map(Comparison::run).collect();
 
     let versions = [vccs.as_ref().ok().and_then(Vccs::version), open3d.versions(), onnxruntime.versions()];
@@ -84,10 +89,23 @@ fn main() {
     }
 }
 
-/// onnxruntime with a small bundle open.
-fn model(folder: Utf8PathBuf, python: Option<&str>) -> Peer {
-    match folder.join("model.json").exists() {
-        true => Peer::start(python, "onnxruntime_peer.py", &[format!("load {folder}")]),
-        false => Peer::missing(format!("no bundle {} beside the checkout", folder.file_name().unwrap_or_default())),
+/// A segmenter with a picture encoded: as many threads for its encoder as there are cores, one for each of two decoders.
+fn segmenter(bundle: &Utf8Path) -> anyhow::Result<Asked> {
+    let settings =
+        RuntimeSettings { library: Some(beside(".onnxruntime/libonnxruntime.so")), threads: Some(THREADS), ..RuntimeSettings::default() };
+    let models = Models::default().with_segmenter(&Engine::local(&settings)?, bundle)?;
+    let segmenter = models.segmenter.context("the bundle is a segmenter")?;
+    let picture = RgbImage::from_fn(640, 480, |x, y| Rgb([(x / 3) as u8, (y / 2) as u8, ((x * y) >> 6) as u8]));
+    let encoded = segmenter.encode(&picture)?;
+    Ok(Asked { segmenter, picture, encoded })
+}
+
+const THREADS: usize = 2;
+
+/// onnxruntime with the same bundle open.
+fn model(bundle: &Utf8Path, python: Option<&str>) -> Peer {
+    match bundle.join("model.json").exists() {
+        true => Peer::start(python, "onnxruntime_peer.py", &[format!("load {bundle} {THREADS} 1")]),
+        false => Peer::missing("make models fetches the bundle".into()),
     }
 }

@@ -23,7 +23,6 @@ pub enum Ours<'a> {
     Same(Side<'a>),
     /// The job is a part of this one and can not be had alone: its time is a bound.
     Within(Side<'a>),
-    Nothing,
 }
 
 pub struct Comparison<'a> {
@@ -38,7 +37,7 @@ pub struct Comparison<'a> {
 pub struct Outcome {
     pub what: String,
     pub differ: String,
-    pub ours: Option<Result<Run, String>>,
+    pub ours: Result<Run, String>,
     pub peer: Result<Run, String>,
     /// Whether our figure is an upper bound.
     pub bound: bool,
@@ -48,17 +47,14 @@ impl Comparison<'_> {
     pub fn run(self) -> Outcome {
         let Self { what, ours, mut peer, differ } = self;
         let bound = matches!(ours, Ours::Within(_));
-        let mut ours = match ours {
-            Ours::Same(side) | Ours::Within(side) => Some(side),
-            Ours::Nothing => None,
-        };
+        let (Ours::Same(mut side) | Ours::Within(mut side)) = ours;
         let mut own_runs = Vec::new();
         let mut peer_runs = Vec::new();
         for _ in 0..=ROUNDS {
-            own_runs.extend(ours.as_mut().map(turn));
+            own_runs.push(turn(&mut side));
             peer_runs.push(turn(&mut peer));
         }
-        Outcome { what, differ, ours: ours.map(|_| summed_up(own_runs)), peer: summed_up(peer_runs), bound }
+        Outcome { what, differ, ours: summed_up(own_runs), peer: summed_up(peer_runs), bound }
     }
 }
 

@@ -1,4 +1,4 @@
-"""onnxruntime on a bundle of a dual encoder; `benches/peers.rs` starts it and speaks as `protocol.py` says."""
+"""onnxruntime on a segmenter's bundle; `benches/peers.rs` starts it and speaks as `protocol.py` says."""
 
 import json
 import pathlib
@@ -12,31 +12,41 @@ from protocol import serve, timed
 class OnnxRuntime:
     versions = f"onnxruntime {ort.__version__}, numpy {np.__version__}, Python {platform.python_version()}"
 
-    def load(self, folder):
-        """Opens both encoders of the bundle in `folder`. Not part of what is compared."""
+    def load(self, folder, encoder_threads, decoder_threads):
+        """Opens encoder and decoder of the bundle in `folder` and encodes noise. Not part of what is compared."""
         folder = pathlib.Path(folder)
         self.model = json.loads((folder / "model.json").read_text())
 
-        def sessions():
-            files = ((part, str(folder / self.model[part]["file"])) for part in ("image", "text"))
-            return {part: ort.InferenceSession(file, providers=["CPUExecutionProvider"]) for part, file in files}
+        def session(part, threads):
+            options = ort.SessionOptions()
+            options.intra_op_num_threads, options.inter_op_num_threads = int(threads), 1
+            options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+            return ort.InferenceSession(str(folder / self.model[part]["file"]), options, providers=["CPUExecutionProvider"])
 
-        ms, self.sessions = timed(sessions)
+        ms, (self.encoder, self.decoder) = timed(lambda: (session("encoder", encoder_threads), session("decoder", decoder_threads)))
+        size = self.model["encoder"]["size"]
+        self.picture = np.random.default_rng(7).standard_normal((1, 3, size, size), dtype=np.float32)
+        self.encode()
         return ms, self.model["name"]
 
-    def image(self, batch):
-        of = self.model["image"]
-        pixels = np.random.default_rng(7).standard_normal((int(batch), 3, *of["size"]), dtype=np.float32)
-        return self._run("image", of["output"], {of["input"]: pixels})
+    def encode(self):
+        of = self.model["encoder"]
+        names = of["outputs"]
+        ms, made = timed(lambda: self.encoder.run(list(names.values()), {of["input"]: self.picture}))
+        self.features = dict(zip(names, made))
+        return ms, " x ".join(map(str, made[0].shape))
 
-    def text(self, batch):
-        of = self.model["text"]
-        ids = np.tile(np.arange(of["context_length"], dtype=np.int64), (int(batch), 1))
-        return self._run("text", of["output"], {of["input_ids"]: ids, of["attention_mask"]: np.ones_like(ids)})
-
-    def _run(self, part, output, inputs):
-        ms, (vectors,) = timed(lambda: self.sessions[part].run([output], inputs))
-        return ms, " x ".join(map(str, vectors.shape))
+    def decode(self, prompts):
+        of, count = self.model["decoder"], int(prompts)
+        inputs, side = of["inputs"], of["mask_size"]
+        fed = {inputs[role]: values for role, values in self.features.items()}
+        fed[inputs["point_coords"]] = np.full((count, 1, 2), 500, np.float32)
+        fed[inputs["point_labels"]] = np.ones((count, 1), np.float32)
+        if inputs["mask_input"]:
+            fed[inputs["mask_input"]] = np.zeros((count, 1, side, side), np.float32)
+            fed[inputs["has_mask_input"]] = np.zeros(1, np.float32)
+        ms, (masks, _) = timed(lambda: self.decoder.run([of["outputs"]["masks"], of["outputs"]["iou"]], fed))
+        return ms, " x ".join(map(str, masks.shape))
 
 
 serve(OnnxRuntime())

@@ -5,13 +5,16 @@ use crate::process::Peer;
 use crate::vccs::Vccs;
 use anyhow::anyhow;
 use camino::Utf8PathBuf;
+use image::RgbImage;
 use std::collections::HashSet;
+use std::sync::Arc;
 use std::time::Instant;
 use uniground::geometry::boxes::Aabb;
 use uniground::geometry::statistics::quantile;
 use uniground::geometry::voxels::{VoxelGrid, typical_spacing_m};
 use uniground::geometry::{Point3, Vector3};
 use uniground::ingest::read_cloud;
+use uniground::models::neural::{Encoded, Prompt, Segmenter};
 use uniground::progress::Progress;
 use uniground::render::{ROOM_VIEW, scene_picture};
 use uniground::scene::{PointCloud, write_cloud_ply};
@@ -198,12 +201,45 @@ pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
     ]
 }
 
-pub fn encoding(onnxruntime: &Peer) -> Vec<Comparison<'_>> {
-    let row = |what: &str, command: &str| Comparison {
-        what: format!("{what} of a tiny dual encoder, onnxruntime"),
-        ours: Ours::Nothing,
-        peer: asked(onnxruntime, command.into()),
-        differ: "this service runs no ONNX model yet; the figure only shows that the peer is there.".into(),
+/// A segmenter and a picture it has encoded.
+pub struct Asked {
+    pub segmenter: Arc<Segmenter>,
+    pub picture: RgbImage,
+    pub encoded: Encoded,
+}
+
+pub fn perception<'a>(ours: &'a anyhow::Result<Asked>, onnxruntime: &'a Peer) -> Vec<Comparison<'a>> {
+    let measured = |work: fn(&Asked) -> String| -> Ours<'a> {
+        Ours::Same(Box::new(move || match ours {
+            Ok(asked) => Ok(timed(|| work(asked), Clone::clone)),
+            Err(why) => anyhow::bail!("{why:#}"),
+        }))
     };
-    vec![row("one picture", "image 1"), row("one text", "text 1")]
+    vec![
+        Comparison {
+            what: "SAM 2 tiny, one picture encoded, onnxruntime (Python)".into(),
+            ours: measured(|asked| {
+                asked.segmenter.encode(&asked.picture).unwrap();
+                "1 picture".into()
+            }),
+            peer: asked(onnxruntime, "encode".into()),
+            differ: "the same network with as many threads. Ours starts from the picture: resizing, normalising and copying the features \
+                     out are in its time; the peer's input is ready."
+                .into(),
+        },
+        Comparison {
+            what: "SAM 2 tiny, two prompts decoded, onnxruntime (Python)".into(),
+            ours: measured(|asked| {
+                let masks = asked
+                    .segmenter
+                    .decode(&asked.encoded, &[Prompt::inside([(300.0, 200.0)]), Prompt::inside([(100.0, 90.0)])]);
+                format!("{} masks", masks.unwrap().iter().map(Vec::len).sum::<usize>())
+            }),
+            peer: asked(onnxruntime, "decode 2".into()),
+            differ:
+                "one thread each, as a parse asks two prompts at a time from two threads. Ours hands out one mask after the other; the \
+                     peer's arrays stay as they are."
+                    .into(),
+        },
+    ]
 }

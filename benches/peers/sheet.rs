@@ -38,10 +38,10 @@ fn row(outcome: &Outcome) -> [String; 6] {
         Ok(Run { ms, gives }) => (format!("{sign}{}", figure(*ms)), gives.clone()),
         Err(why) => left_out(why),
     };
-    let (own_ms, own_gives) = ours.as_ref().map_or_else(|| ("-".into(), "no equivalent yet".into()), |run| told(run, sign));
+    let (own_ms, own_gives) = told(ours, sign);
     let (peer_ms, peer_gives) = told(peer, "");
     let ratio = match (ours, peer) {
-        (Some(Ok(own)), Ok(peer)) => format!("{sign}{:.2}", own.ms / peer.ms),
+        (Ok(own), Ok(peer)) => format!("{sign}{:.2}", own.ms / peer.ms),
         _ => "-".into(),
     };
     [what.clone(), own_ms, peer_ms, ratio, own_gives, peer_gives]

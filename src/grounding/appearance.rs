@@ -4,11 +4,10 @@
 
 use super::query::{Meaning, ParsedQuery, Phrase};
 use crate::models::likeness;
-use crate::models::neural::{DualEncoder, ModelError};
+use crate::models::neural::{DualEncoder, ModelError, TextEmbedding};
 use crate::scene::{Embeddings, Norms};
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
-use std::sync::Arc;
 use utoipa::ToSchema;
 
 /// Which words are compared with instances for the shortlist.
@@ -70,13 +69,13 @@ impl Appearance {
                 of_word.insert(word, embeddings.cosines(&vector));
             }
         }
-        let (sentence, cut) = sentence(query, &parsed.target, encoder, scoring.query_text)?;
+        let TextEmbedding { vector, cut } = sentence(query, &parsed.target, encoder, scoring.query_text)?;
         let (logit_scale, norms) = (encoder.logit_scale(), embeddings.norms().to_vec());
         let calibrated = |cosines: Vec<f32>| match scoring.calibrated {
             true => cosines.iter().zip(&norms).map(|(cosine, n)| (logit_scale * cosine - n.appearance).exp()).collect(),
             false => cosines,
         };
-        let shortlist = sentence.map(|vector| calibrated(embeddings.cosines(&vector)));
+        let shortlist = vector.map(|vector| calibrated(embeddings.cosines(&vector)));
         let seen = (0..embeddings.len()).map(|i| embeddings.is_seen(i)).collect();
         Ok(Self { logit_scale, norms, seen, of_word, shortlist, cut })
     }
@@ -112,7 +111,7 @@ fn nouns_within(phrase: &Phrase, words: &mut Vec<String>) {
 }
 
 /// The words the shortlist goes by as one unit vector, and whether the end of the sentence was not read.
-fn sentence(query: &str, target: &Phrase, encoder: &DualEncoder, text: QueryText) -> Result<(Option<Arc<[f32]>>, bool), ModelError> {
+fn sentence(query: &str, target: &Phrase, encoder: &DualEncoder, text: QueryText) -> Result<TextEmbedding, ModelError> {
     let full = encoder.embed_text(query)?;
     let target = match text {
         QueryText::Full => None,
@@ -128,5 +127,5 @@ fn sentence(query: &str, target: &Phrase, encoder: &DualEncoder, text: QueryText
         (QueryText::Target, _, target) => target,
         (_, full, target) => full.or(target),
     };
-    Ok((vector, full.cut && text != QueryText::Target))
+    Ok(TextEmbedding { vector, cut: full.cut && text != QueryText::Target })
 }

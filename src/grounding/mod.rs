@@ -50,13 +50,11 @@ pub struct Question {
 /// the scene and knows the words, by names and attributes otherwise.
 #[must_use]
 pub fn shortlist(scene: SceneView, parsed: &query::ParsedQuery, top_k: usize) -> Vec<Candidate> {
-    match scene.appearance.and_then(Appearance::shortlist) {
-        Some(scores) => shortlist::rank(scene, scores, top_k),
-        None => {
-            let looked = Looked::at(scene, DirectionConvention::Paper.into());
-            shortlist::rank(scene, &looked.own_fits(&parsed.target).1, top_k)
-        }
+    if let Some(scores) = scene.appearance.and_then(Appearance::shortlist) {
+        return shortlist::rank(scene, scores, top_k);
     }
+    let looked = Looked::at(scene, DirectionConvention::Paper.into());
+    shortlist::rank(scene, &looked.own_fits(&parsed.target).1, top_k)
 }
 
 /// Answers a question, read by the built-in grammar.

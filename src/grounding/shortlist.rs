@@ -2,6 +2,7 @@
 
 use super::SceneView;
 use crate::geometry::boxes::Aabb;
+use crate::geometry::statistics::largest;
 use crate::scene::InstanceId;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -20,11 +21,9 @@ pub struct Candidate {
 
 /// The `top_k` best instances by `scores` (by index); instances that score nothing are no candidates.
 pub(super) fn rank(scene: SceneView, scores: &[f32], top_k: usize) -> Vec<Candidate> {
-    let mut order: Vec<usize> = (0..scores.len()).filter(|&i| scores[i] > 0.0).collect();
-    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
-    order
+    largest(scores, top_k)
         .into_iter()
-        .take(top_k)
+        .filter(|&i| scores[i] > 0.0)
         .enumerate()
         .map(|(rank, i)| {
             let instance = &scene.instances[i];

@@ -34,11 +34,11 @@ pub fn fit(cosine: f32, logit_scale: f32, fit: Option<f32>, norms: Norms) -> f32
     ((logit_scale * cosine + measured(fit) - norms.joint) / TEMPERATURE).exp().min(1.0)
 }
 
+/// A noun and its vector.
+type Word = (&'static Noun, Arc<[f32]>);
+
 /// Every noun of the lexicon that the text tower knows, as a vector.
-///
-/// # Errors
-/// [`ModelError`]: a failed call.
-pub fn vocabulary(encoder: &DualEncoder) -> Result<Vec<(&'static Noun, Arc<[f32]>)>, ModelError> {
+fn vocabulary(encoder: &DualEncoder) -> Result<Vec<Word>, ModelError> {
     let embedded = |noun: &'static Noun| Ok((noun, encoder.embed_name(&noun.name)?.vector));
     let embedded: Vec<_> = Lexicon::get().nouns().par_iter().map(embedded).collect::<Result<_, ModelError>>()?;
     Ok(embedded.into_iter().filter_map(|(noun, vector)| Some((noun, vector?))).collect())
@@ -74,7 +74,7 @@ pub fn name_all(instances: &mut [Instance], encoder: &DualEncoder, rows: &[f32])
     Ok(embeddings.with_norms(norms))
 }
 
-fn best_names(vocabulary: &[(&Noun, Arc<[f32]>)], logits: &[f32], norm: f32) -> Vec<NameGuess> {
+fn best_names(vocabulary: &[Word], logits: &[f32], norm: f32) -> Vec<NameGuess> {
     let mut order: Vec<usize> = (0..logits.len()).collect();
     order.sort_by(|&a, &b| logits[b].total_cmp(&logits[a]).then(a.cmp(&b)));
     let guess = |i: usize| NameGuess { name: vocabulary[i].0.name.clone(), score: (logits[i] - norm).exp().min(1.0) };

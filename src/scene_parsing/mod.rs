@@ -68,6 +68,16 @@ impl<'a> Perception<'a> {
     fn is_neural(&self) -> bool {
         self.corrector.is_some() || self.encoder.is_some()
     }
+
+    /// Where stages end, as shares of the whole: superpoints, masks, merging, wholes, instances, views; appearance comes last. Networks take
+    /// nearly all of the time where they take part, and the time left is reckoned from these.
+    fn ends(&self) -> [f32; 6] {
+        match (self.corrector.is_some(), self.encoder.is_some()) {
+            (false, false) => [0.35, 0.75, 0.83, 0.85, 0.88, 1.0],
+            (false, true) => [0.07, 0.15, 0.17, 0.175, 0.18, 0.2],
+            (true, _) => [0.01, 0.7, 0.705, 0.71, 0.715, 0.72],
+        }
+    }
 }
 
 /// Cuts a scene into instances. Stages found in `checkpoints` are taken from there.
@@ -85,9 +95,10 @@ pub fn parse(
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let frames = frame_sampling::sample(&frames, &settings.frame_sampling);
     let mut watch = Stopwatch::default();
+    let ends = perception.ends();
 
     let superpoints = watch.time("superpoints", |outcome| {
-        let compute = || superpoints::compute(&cloud, &settings.superpoints, &progress.part(0.0, 0.35));
+        let compute = || superpoints::compute(&cloud, &settings.superpoints, &progress.part(0.0, ends[0]));
         let (superpoints, reused) = checkpoints.once("superpoints", &settings.superpoints, compute)?;
         *outcome = Outcome { produced: superpoints.patches.len(), reused };
         Ok::<_, ParseError>(superpoints)
@@ -98,29 +109,29 @@ pub fn parse(
     let tables = watch.time("masks_and_lifting", |outcome| {
         let lifting =
             Lifting { cloud: &cloud, superpoint_of_point: &superpoints.of_point, masks, depth_tolerance: settings.depth_tolerance };
-        let (tables, reused) = lifting.all(&frames, checkpoints.log("lifting", &lifted_with), &progress.part(0.35, 0.75))?;
+        let (tables, reused) = lifting.all(&frames, checkpoints.log("lifting", &lifted_with), &progress.part(ends[0], ends[1]))?;
         *outcome = Outcome { produced: tables.iter().map(|t| t.masks as usize).sum(), reused };
         Ok::<_, ParseError>(tables)
     })?;
     let blind: Vec<String> = tables.iter().filter(|t| t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
     let region_of = watch.time("merging", |outcome| {
-        let compute = || merging::merge(&superpoints, tables, &settings.merging, &progress.part(0.75, 0.83));
+        let compute = || merging::merge(&superpoints, tables, &settings.merging, &progress.part(ends[1], ends[2]));
         let (region_of, reused) = checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
         *outcome = Outcome { produced: count(&region_of), reused };
         Ok::<_, ParseError>(region_of)
     })?;
     let region_of = watch.time("wholes", |outcome| {
-        let wholes = wholes::join(&cloud, &superpoints, region_of, &settings.wholes, &progress.part(0.83, 0.85))?;
+        let wholes = wholes::join(&cloud, &superpoints, region_of, &settings.wholes, &progress.part(ends[2], ends[3]))?;
         outcome.produced = count(&wholes);
         Ok::<_, ParseError>(wholes)
     })?;
     let (mut instances, instance_of_point) = watch.time("instances", |outcome| {
-        let built = instances::build(&cloud, &superpoints, &region_of, &settings.instances, &progress.part(0.85, 0.88))?;
+        let built = instances::build(&cloud, &superpoints, &region_of, &settings.instances, &progress.part(ends[3], ends[4]))?;
         outcome.produced = built.0.len();
         Ok::<_, ParseError>(built)
     })?;
 
-    let viewing = progress.part(0.88, if perception.is_neural() { 0.9 } else { 1.0 });
+    let viewing = progress.part(ends[4], ends[5]);
     let sightings = watch.time("views", |outcome| {
         let mut sightings = Vec::new();
         stream_frames(
@@ -143,7 +154,7 @@ pub fn parse(
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
             let labelled = Labelled { cloud: &cloud, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
-            let looking = progress.part(0.9, 1.0);
+            let looking = progress.part(ends[5], 1.0);
             let (rows, boxes) = appearance::look(
                 &frames,
                 &instances,

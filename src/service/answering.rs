@@ -2,20 +2,17 @@
 
 use super::Service;
 use super::cache::LoadedParse;
-use super::parsing::{EMBEDDINGS_FILE, NORMS_FILE, ParseModels};
+use super::looking::{Asked, Seen, appearance, read_embeddings};
+use super::parsing::ParseModels;
+use super::questions::{GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest, check_query, check_top_k};
 use crate::error::Error;
 use crate::geometry::boxes::{Aabb, OrientedBox};
-use crate::grounding::direction::{DirectionConvention, Observer};
 use crate::grounding::query::{BuiltinParser, ParsedQuery, QueryParser, Reading, VlmParser};
 use crate::grounding::{
-    self, Alternative, Appearance, Candidate, Grounding, ParsedQuerySummary, QueryText, Question, SceneView, ShortlistScoring, SixFields,
-    Status, Timings,
+    self, Alternative, Candidate, Grounding, ParsedQuerySummary, Question, SceneView, ShortlistScoring, SixFields, Status, Timings,
 };
 use crate::models::attributes;
 use crate::models::chat::ChatReply;
-use crate::models::neural::{Models as NeuralModels, Role};
-use crate::scene::Embeddings;
-use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -24,115 +21,6 @@ use tokio::task::spawn_blocking;
 use tokio::time::timeout;
 use utoipa::ToSchema;
 use uuid::Uuid;
-
-/// Who decides.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ReasonerChoice {
-    /// A vision-language model when one is configured, else the built-in reasoner.
-    #[default]
-    Auto,
-    Vlm,
-    Builtin,
-}
-
-/// Who reads the question.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ParserChoice {
-    /// Grammar and lexicon: no call, no cost.
-    #[default]
-    Builtin,
-    /// One call to the configured model; the grammar where its answer can not be used, told in the trace.
-    Vlm,
-}
-
-/// Parts of the paper's prompt left out; only a vision-language model has a prompt.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Ablation {
-    #[default]
-    Full,
-    NoGlobal,
-    NoCandidate,
-    SimplePrompt,
-}
-
-/// Parts of an answer that can be left out of the reply.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Include {
-    Candidates,
-    Evidence,
-    Trace,
-}
-
-/// A question about a scene.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct GroundRequest {
-    /// What to find, in plain English.
-    #[schema(min_length = 1, max_length = 2000, example = "the black chair closest to the door")]
-    pub query: String,
-    /// Candidates to keep.
-    #[serde(default = "default_top_k")]
-    #[schema(minimum = 1, maximum = 100, default = 5)]
-    pub top_k: u32,
-    #[serde(default)]
-    pub parser: ParserChoice,
-    #[serde(default)]
-    pub reasoner: ReasonerChoice,
-    #[serde(default)]
-    pub ablation: Ablation,
-    #[serde(default)]
-    pub direction_convention: DirectionConvention,
-    /// Left, right, front and back as seen by this observer.
-    pub observer: Option<Observer>,
-    /// Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`.
-    #[serde(default)]
-    pub allow_builtin: bool,
-    /// Optional parts to send back; all when left out.
-    pub include: Option<Vec<Include>>,
-    /// Most this question may cost; the built-in reasoner costs nothing.
-    #[schema(minimum = 0)]
-    pub max_cost_usd: Option<f64>,
-    /// Give up after this many seconds.
-    #[schema(exclusive_minimum = 0, maximum = 3600)]
-    pub timeout_s: Option<f32>,
-}
-
-/// A query for candidates only.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct ShortlistRequest {
-    #[schema(min_length = 1, max_length = 2000, example = "the black chair")]
-    pub query: String,
-    #[serde(default = "default_top_k")]
-    #[schema(minimum = 1, maximum = 100, default = 5)]
-    pub top_k: u32,
-    /// Which words are compared with the instances, where an encoder has seen them.
-    #[serde(default)]
-    pub query_text: QueryText,
-    /// Scores are likelihoods against a vocabulary instead of cosines.
-    #[serde(default)]
-    pub calibrated: bool,
-    /// Where the encoder fails, or is not the one the scene was parsed with, rank by names and measures.
-    #[serde(default)]
-    pub allow_builtin: bool,
-}
-
-impl ShortlistRequest {
-    /// A query with everything else at its default.
-    #[must_use]
-    pub fn of(query: impl Into<String>) -> Self {
-        let (query, top_k) = (query.into(), default_top_k());
-        Self { query, top_k, query_text: QueryText::default(), calibrated: false, allow_builtin: false }
-    }
-}
-
-fn default_top_k() -> u32 {
-    5
-}
 
 /// Name and version of the parts an answer came from.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
@@ -240,68 +128,8 @@ pub struct Shortlisted {
 
 /// Name and version, recorded with answers.
 pub const BUILTIN_REASONER: &str = "builtin-2";
-const MAX_QUERY_CHARS: usize = 2000;
-const MAX_TOP_K: u32 = 100;
-const MAX_TIMEOUT_S: f32 = 3600.0;
 /// How long a question waits for its turn before the server calls itself overloaded.
 const PATIENCE: Duration = Duration::from_secs(2);
-
-impl GroundRequest {
-    /// A question with everything else at its default.
-    #[must_use]
-    pub fn of(query: impl Into<String>) -> Self {
-        Self {
-            query: query.into(),
-            top_k: default_top_k(),
-            parser: ParserChoice::default(),
-            reasoner: ReasonerChoice::default(),
-            ablation: Ablation::default(),
-            direction_convention: DirectionConvention::default(),
-            observer: None,
-            allow_builtin: false,
-            include: None,
-            max_cost_usd: None,
-            timeout_s: None,
-        }
-    }
-
-    /// # Errors
-    /// [`Error::Invalid`] naming the field.
-    pub fn check(&self) -> Result<(), Error> {
-        check_query(&self.query)?;
-        check_top_k(self.top_k)?;
-        if let Some(observer) = &self.observer
-            && !observer.position.iter().chain([&observer.yaw_rad]).all(|v| v.is_finite())
-        {
-            return Err(Error::invalid("/observer", "position and yaw_rad must be finite"));
-        }
-        if self.max_cost_usd.is_some_and(|cost| !cost.is_finite() || cost < 0.0) {
-            return Err(Error::invalid("/max_cost_usd", "must be 0 or more"));
-        }
-        if self.timeout_s.is_some_and(|t| !t.is_finite() || t <= 0.0 || t > MAX_TIMEOUT_S) {
-            return Err(Error::invalid("/timeout_s", format!("must be above 0 and at most {MAX_TIMEOUT_S}")));
-        }
-        Ok(())
-    }
-}
-
-fn check_query(query: &str) -> Result<(), Error> {
-    let characters = query.chars().count();
-    if query.trim().is_empty() {
-        return Err(Error::invalid("/query", "must not be empty"));
-    }
-    if characters > MAX_QUERY_CHARS {
-        return Err(Error::invalid("/query", format!("has {characters} characters, at most {MAX_QUERY_CHARS} are read")));
-    }
-    Ok(())
-}
-
-fn check_top_k(top_k: u32) -> Result<(), Error> {
-    match top_k {
-        1..=MAX_TOP_K => Ok(()),
-        _ => Err(Error::invalid("/top_k", format!("must be 1 to {MAX_TOP_K}"))),
-    }
-}
 
 impl Service {
     /// Grounds one question in a parsed scene and keeps the answer.
@@ -444,50 +272,6 @@ impl Service {
         });
         self.cache.put(parse_id, parse.clone());
         Ok(parse)
-    }
-}
-
-/// What is asked of an encoder.
-struct Asked {
-    query: String,
-    scoring: ShortlistScoring,
-    allow_builtin: bool,
-}
-
-/// How the encoder fared.
-struct Seen {
-    /// Why it took no part, though it should have.
-    missing: Option<String>,
-    cut: bool,
-}
-
-impl Seen {
-    fn note(self, answer: &mut Answer) {
-        let trace = answer.trace.get_or_insert_default();
-        if let Some(why) = self.missing {
-            answer.degraded = true;
-            attributes::NAME.clone_into(&mut answer.models.encoder);
-            trace.corrections.push(format!("names and measures answered, not the encoder: {why}"));
-        }
-    }
-}
-
-/// The question's words beside what the instances look like; nothing where no encoder has seen them.
-fn appearance(models: &NeuralModels, parse: &LoadedParse, asked: &Asked, parsed: &ParsedQuery) -> Result<Option<Appearance>, Error> {
-    let Some(embeddings) = &parse.embeddings else { return Ok(None) };
-    let here = models.label(Role::Encoder).unwrap_or_else(|| attributes::NAME.into());
-    match &models.encoder {
-        Some(encoder) if here == parse.encoder => Ok(Some(Appearance::of(&asked.query, parsed, encoder, embeddings, asked.scoring)?)),
-        _ => Err(Error::EncoderChanged { parsed_with: parse.encoder.clone(), here }),
-    }
-}
-
-async fn read_embeddings(parse: &Utf8Path) -> Result<Option<Embeddings>, Error> {
-    let (rows, norms) = (parse.join(EMBEDDINGS_FILE), parse.join(NORMS_FILE));
-    match tokio::fs::read(&rows).await {
-        Ok(rows) => Ok(Some(Embeddings::read(&rows, &tokio::fs::read(&norms).await?)?)),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(error.into()),
     }
 }
 

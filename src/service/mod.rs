@@ -3,19 +3,19 @@
 mod answering;
 mod cache;
 mod instances;
+mod looking;
 mod parsing;
 mod pictures;
+mod questions;
 mod report_files;
 mod reports;
 mod scenes;
 mod uploads;
 
-pub use answering::{
-    Ablation, Answer, BUILTIN_REASONER, Call, CoordinateFrame, GroundRequest, Include, Models, ParserChoice, ReasonerChoice,
-    ShortlistRequest, Shortlisted, Trace, Usage,
-};
+pub use answering::{Answer, BUILTIN_REASONER, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
 pub use instances::{InstanceList, InstanceView, ViewPicture};
 pub use parsing::{ModelChoice, PARSE_JOB, ParseModels, ParsePreset, ParseSettings, ParsedScan, PartChoice, parse_scan};
+pub use questions::{Ablation, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
 pub use reports::{ReportPictureLink, SceneReport};
 pub use scenes::{Scene, SceneCounts, SceneList, SceneStatus};
 pub use uploads::NewScene;

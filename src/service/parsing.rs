@@ -337,10 +337,11 @@ fn parse_with(
     progress: &Progress,
 ) -> Result<ParsedScan, Error> {
     let mut watch = Stopwatch::default();
+    let imported = if models.loaded.is_empty() { 0.25 } else { 0.01 };
     let bundle = watch.time("import", |outcome| {
         // Kept with paths relative to the content, whose folder may lie elsewhere tomorrow.
         let load = || {
-            let bundle = ingest::load(&ingest::open(content)?, &settings.import, &progress.part(0.0, 0.25))?;
+            let bundle = ingest::load(&ingest::open(content)?, &settings.import, &progress.part(0.0, imported))?;
             Ok::<_, Error>(bundle.with_paths(|path| path.strip_prefix(content).unwrap_or(path).to_owned()))
         };
         let (bundle, reused) = checkpoints.once("import", &(), load)?;
@@ -365,7 +366,7 @@ fn parse_with(
         corrector: encoded.as_ref().map(|frames| Corrector { frames, settings: parsing.correction }),
         encoder: models.encoder.as_deref(),
     };
-    let mut scene = scene_parsing::parse(bundle, &perception, parsing, checkpoints, &progress.part(0.25, 1.0))?;
+    let mut scene = scene_parsing::parse(bundle, &perception, parsing, checkpoints, &progress.part(imported, 1.0))?;
     scene.report.stages.splice(0..0, watch.stages);
     Ok(ParsedScan { import, frames, scene, models: names })
 }
@@ -379,9 +380,11 @@ fn parse_content(
     blobs: Scratch,
     progress: &Progress,
 ) -> Result<Finished, Error> {
+    // Networks take nearly all of the time where they take part.
+    let (parsed_by, drawn_by) = if models.loaded.is_empty() { (0.8, 0.85) } else { (0.98, 0.985) };
     let ParsedScan { import, frames, scene: parsed, models } =
-        parse_scan(content, settings, models, checkpoints, &progress.part(0.0, 0.8))?;
-    let writing = progress.part(0.8, 0.85);
+        parse_scan(content, settings, models, checkpoints, &progress.part(0.0, parsed_by))?;
+    let writing = progress.part(parsed_by, drawn_by);
     writing.report("write_clouds", 0.0).map_err(ParseError::from)?;
     write_cloud_ply(&parsed.cloud, File::create(blobs.path().join("cloud.ply"))?)?;
     write_instances_ply(&parsed, File::create(blobs.path().join("instances.ply"))?)?;
@@ -394,9 +397,14 @@ fn parse_content(
     writing.check().map_err(ParseError::from)?;
     let views = blobs.path().join("views");
     fs::create_dir(&views)?;
-    evidence::render(&frames, &parsed.instances, &progress.part(0.85, 1.0), |EvidencePicture { instance, view, picture, jpeg }| {
-        Ok::<_, Error>(fs::write(views.join(view_file(instance.0, view, picture)), jpeg)?)
-    })?;
+    evidence::render(
+        &frames,
+        &parsed.instances,
+        &progress.part(drawn_by, 1.0),
+        |EvidencePicture { instance, view, picture, jpeg }| {
+            Ok::<_, Error>(fs::write(views.join(view_file(instance.0, view, picture)), jpeg)?)
+        },
+    )?;
     Ok(Finished { import, parsed, models, blobs })
 }
 

@@ -97,7 +97,7 @@ async fn models_take_part_from_the_upload_to_the_answer() {
         server
             .data()
             .join("blobs/parses")
-            .join(&server.stored("blobs/parses").pop().unwrap())
+            .join(server.stored("blobs/parses").pop().unwrap())
             .join("embedding_norms.npy"),
     )
     .unwrap();
@@ -239,7 +239,7 @@ async fn infer(
     };
     match remote.mood {
         Mood::Hangs => {
-            tokio::time::sleep(Duration::from_secs(60)).await;
+            tokio::time::sleep(Duration::from_mins(1)).await;
             right(count * 64)
         }
         Mood::Garbage => "<html>hello</html>".into_response(),

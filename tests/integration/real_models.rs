@@ -148,7 +148,7 @@ fn sam2_masks_are_those_of_the_python_reference() {
     }
 }
 
-/// The same sentences as open_clip's own tokenizer cuts them, for a Perception Encoder: `scripts/fetch-pe-tokenizer.sh` makes the file.
+/// The same sentences as `open_clip`'s own tokenizer cuts them, for a Perception Encoder.
 #[test]
 #[ignore = "needs models: make test-models"]
 fn the_perception_encoders_tokens_are_open_clips() {
@@ -234,7 +234,7 @@ fn clip_finds_annotated_things_by_their_names() {
 #[ignore = "needs an inference server: make test-models"]
 fn networks_answer_alike_here_and_behind_a_server() {
     let address = std::env::var("KSERVE_URL").expect("KSERVE_URL: scripts/test-models.sh starts a server");
-    let remote = Engine::Remote(RemoteServer::new(&address, Duration::from_secs(60)).unwrap());
+    let remote = Engine::Remote(RemoteServer::new(&address, Duration::from_mins(1)).unwrap());
     let data = root().join("tests/data");
     let [here, there] =
         [engine(), remote].map(|engine| Models::default().with_encoder(&engine, &data.join("tiny-dual-encoder")).unwrap().encoder.unwrap());
@@ -246,7 +246,7 @@ fn networks_answer_alike_here_and_behind_a_server() {
     }
     let text = "the small blue mug";
     assert!(cosine(&here.embed_text(text).unwrap().vector.unwrap(), &there.embed_text(text).unwrap().vector.unwrap()) > 0.999_99);
-    let remote = Engine::Remote(RemoteServer::new(&address, Duration::from_secs(60)).unwrap());
+    let remote = Engine::Remote(RemoteServer::new(&address, Duration::from_mins(1)).unwrap());
     let [here, there] = [engine(), remote]
         .map(|engine| Models::default().with_segmenter(&engine, &data.join("tiny-segmenter")).unwrap().segmenter.unwrap());
     let prompts: Vec<Prompt> = (0..20).map(|i| Prompt::inside([(i as f32 * 3.0, 20.0)])).collect();

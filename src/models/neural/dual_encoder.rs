@@ -1,4 +1,4 @@
-//! Pictures and words in one space (paper: the Perception Encoder; CLIP and SigLIP alike).
+//! Pictures and words in one space (paper: the Perception Encoder; CLIP and `SigLIP` alike).
 
 use super::ModelError;
 use super::bundle::{Bundle, DualEncoderManifest};

@@ -149,15 +149,14 @@ fn find_library(told: Option<&Utf8Path>) -> Result<Utf8PathBuf, ModelError> {
     let named = told
         .map(Utf8Path::to_owned)
         .or_else(|| std::env::var("ORT_DYLIB_PATH").ok().filter(|p| !p.is_empty()).map(Into::into));
-    let candidates = match named {
-        Some(file) => vec![file],
-        None => {
-            let beside = std::env::current_exe()
-                .ok()
-                .and_then(|exe| Utf8PathBuf::from_path_buf(exe.parent()?.join(LIBRARY_FILE)).ok());
-            [Some(Utf8PathBuf::from(".onnxruntime").join(LIBRARY_FILE)), beside].into_iter().flatten().collect()
-        }
+    let beside = || Utf8PathBuf::from_path_buf(std::env::current_exe().ok()?.parent()?.join(LIBRARY_FILE)).ok();
+    let usual = || {
+        [Some(Utf8PathBuf::from(".onnxruntime").join(LIBRARY_FILE)), beside()]
+            .into_iter()
+            .flatten()
+            .collect()
     };
+    let candidates: Vec<Utf8PathBuf> = named.map_or_else(usual, |file| vec![file]);
     // A missing library must be found out here: loading one may not come back.
     match candidates.iter().find(|file| file.is_file()) {
         Some(file) => file
@@ -211,7 +210,7 @@ impl OnnxNetwork {
         self.returned.notify_one();
     }
 
-    fn run_on(&self, session: &mut Session, inputs: &[Input], outputs: &[&str]) -> ort::Result<Vec<Tensor>> {
+    fn run_on(session: &mut Session, inputs: &[Input], outputs: &[&str]) -> ort::Result<Vec<Tensor>> {
         let fed: Vec<(&str, SessionInputValue)> = inputs
             .iter()
             .map(|Input { name, shape, values }| {
@@ -242,7 +241,7 @@ impl Network for OnnxNetwork {
 
     fn run(&self, inputs: &[Input], outputs: &[&str]) -> Result<Vec<Tensor>, ModelError> {
         let mut session = self.lend();
-        let made = self.run_on(&mut session, inputs, outputs);
+        let made = Self::run_on(&mut session, inputs, outputs);
         self.give_back(session);
         let made = made.map_err(|e| ModelError::Run { network: self.name.clone(), why: first_line(&e.to_string()) })?;
         for (tensor, name) in made.iter().zip(outputs) {

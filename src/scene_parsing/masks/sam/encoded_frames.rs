@@ -24,7 +24,7 @@ impl EncodedFrames {
     /// # Errors
     /// When no folder can be made.
     pub fn new(segmenter: Arc<Segmenter>, place: Option<&Utf8Path>, max_bytes: u64) -> io::Result<Self> {
-        let folder = place.map_or_else(tempfile::tempdir, |place| tempfile::tempdir_in(place))?;
+        let folder = place.map_or_else(tempfile::tempdir, tempfile::tempdir_in)?;
         Ok(Self { segmenter, folder, bytes_left: AtomicU64::new(max_bytes) })
     }
 
