@@ -101,8 +101,11 @@ impl Segmenter {
             .signature()
             .expect(&decoder_file, Direction::Out, &d.outputs.iou, Element::F32, &[None, Some(d.num_masks)])?;
         let segmenter = Self { manifest: manifest.clone(), encoder, decoder };
+        // Whole batches in two places at once: what a parse will need is taken now, or the lack of it told.
         let encoded = segmenter.encode(&RgbImage::new(64, 48))?;
-        segmenter.decode(&encoded, &[Prompt::inside([(32.0, 24.0)])])?;
+        let batch = vec![Prompt::inside([(32.0, 24.0)]); segmenter.batch()];
+        let (here, there) = rayon::join(|| segmenter.decode(&encoded, &batch), || segmenter.decode(&encoded, &batch));
+        here.and(there)?;
         Ok(segmenter)
     }
 

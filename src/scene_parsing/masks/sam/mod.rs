@@ -97,9 +97,46 @@ struct Candidate {
     /// Bit per cell of the grid over the whole picture.
     cells: Vec<u64>,
     area: u32,
-    /// The mask itself, to be painted: half floats, as there are hundreds of them.
-    logits: Vec<f16>,
+    patch: Patch,
     window: Window,
+}
+
+/// The part of a low-resolution mask around its inside, to be painted: half floats, as there are hundreds of masks.
+#[derive(Debug, Clone, Default)]
+struct Patch {
+    left: usize,
+    top: usize,
+    width: usize,
+    logits: Vec<f16>,
+}
+
+impl Patch {
+    /// What is inside, and one cell around it: between these the border runs.
+    fn around_inside(logits: &[f32], threshold: f32) -> Self {
+        let size = logits.len().isqrt();
+        let inside = |i: usize| logits[i] > threshold;
+        let rows = || (0..size).filter(|v| (0..size).any(|u| inside(v * size + u)));
+        let columns = || (0..size).filter(|u| (0..size).any(|v| inside(v * size + u)));
+        let (Some(top), Some(bottom), Some(left), Some(right)) =
+            (rows().next(), rows().next_back(), columns().next(), columns().next_back())
+        else {
+            return Self::default();
+        };
+        let (top, left) = (top.saturating_sub(1), left.saturating_sub(1));
+        let (bottom, right) = ((bottom + 2).min(size), (right + 2).min(size));
+        let kept = (top..bottom).flat_map(|v| &logits[v * size + left..v * size + right]);
+        Self { left, top, width: right - left, logits: kept.map(|logit| f16::from_f32(*logit)).collect() }
+    }
+
+    /// Writes the patch into a mask that is outside everywhere else.
+    fn spread(&self, outside: f32, logits: &mut [f32]) {
+        logits.fill(outside);
+        let size = logits.len().isqrt();
+        for (row, of_row) in self.logits.chunks(self.width.max(1)).enumerate() {
+            let start = (self.top + row) * size + self.left;
+            of_row.convert_to_f32_slice(&mut logits[start..start + self.width]);
+        }
+    }
 }
 
 /// Where in the picture a mask was made.
@@ -136,7 +173,7 @@ impl MaskSource for SamMasks<'_> {
                 self.ask(&encoded, window, points.div_ceil(2), (width, height), &mut candidates)?;
             }
         }
-        Ok(paint::paint(self.select(candidates), self.frames.segmenter.threshold(), &self.settings, frame))
+        Ok(paint::paint(self.select(candidates), &self.frames.segmenter, &self.settings, frame))
     }
 }
 
@@ -182,9 +219,8 @@ impl SamMasks<'_> {
         if !(settings.min_area..=settings.max_area).contains(&share) || area == 0 {
             return None;
         }
-        let mut logits = vec![f16::ZERO; mask.logits.len()];
-        logits.convert_from_f32_slice(&mask.logits);
-        Some(Candidate { quality: mask.predicted_iou * stability.sqrt(), cells, area, logits, window })
+        let patch = Patch::around_inside(&mask.logits, threshold);
+        Some(Candidate { quality: mask.predicted_iou * stability.sqrt(), cells, area, patch, window })
     }
 
     /// Best first; what a better one says already is left out.
@@ -272,6 +308,19 @@ mod tests {
     }
 
     #[test]
+    fn a_patch_holds_what_is_inside_and_the_border() {
+        let logits: Vec<f32> = (0..64_u8)
+            .map(|i| if (2..5).contains(&(i % 8)) && (3..5).contains(&(i / 8)) { 4.0 } else { -f32::from(i) })
+            .collect();
+        let patch = Patch::around_inside(&logits, 0.0);
+        assert_eq!((patch.left, patch.top, patch.width, patch.logits.len()), (1, 2, 5, 20));
+        let mut spread = vec![0.0; 64];
+        patch.spread(-99.0, &mut spread);
+        assert_eq!((spread[3 * 8 + 2], spread[3 * 8 + 1], spread[3 * 8]), (4.0, -25.0, -99.0));
+        assert!(Patch::around_inside(&[-1.0; 16], 0.0).logits.is_empty());
+    }
+
+    #[test]
     fn a_window_lies_where_it_was_cut() {
         let window = Window { left: 50, top: 0, width: 50, height: 100, scale: (0.64, 0.32) };
         let lookup = cell_lookup(window, (100, 100), 32);
@@ -287,7 +336,7 @@ mod tests {
         let sam = SamMasks { frames: &frames, settings: SamSettings::default(), name: "tiny".into() };
         let window = Window { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
         let candidate =
-            |quality: f32, cells: u64| Candidate { quality, cells: vec![cells], area: cells.count_ones(), logits: Vec::new(), window };
+            |quality: f32, cells: u64| Candidate { quality, cells: vec![cells], area: cells.count_ones(), patch: Patch::default(), window };
         let kept = sam.select(vec![candidate(0.6, 0xff), candidate(0.9, 0x7f), candidate(0.5, 0xff00)]);
         assert_eq!(kept.iter().map(|c| c.quality).collect::<Vec<_>>(), [0.9, 0.5]);
     }

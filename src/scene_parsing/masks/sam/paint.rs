@@ -2,12 +2,14 @@
 
 use super::super::IdImage;
 use super::{Candidate, GRID, MaskOrder, SamSettings};
-use crate::models::neural::LowMask;
+use crate::models::neural::{LowMask, Segmenter};
 use crate::scene::Frame;
-use half::slice::HalfFloatSliceExt;
 
 /// Paints masks over each other, in the order of the settings. Ids count from 1 in that order.
-pub(super) fn paint(mut masks: Vec<Candidate>, threshold: f32, settings: &SamSettings, frame: &Frame) -> IdImage {
+pub(super) fn paint(mut masks: Vec<Candidate>, segmenter: &Segmenter, settings: &SamSettings, frame: &Frame) -> IdImage {
+    // So far outside that the border stays where it is.
+    const OUTSIDE: f32 = -1e3;
+    let threshold = segmenter.threshold();
     match settings.order {
         MaskOrder::AscendingQuality => masks.reverse(),
         MaskOrder::LargerFirst => masks.sort_by_key(|mask| std::cmp::Reverse(mask.area)),
@@ -17,11 +19,9 @@ pub(super) fn paint(mut masks: Vec<Candidate>, threshold: f32, settings: &SamSet
     // Where each column and row of the depth image lies in the colour picture.
     let columns: Vec<f32> = (0..width).map(|u| frame.color_position(u as f32, 0.0).0).collect();
     let rows: Vec<f32> = (0..height).map(|v| frame.color_position(0.0, v as f32).1).collect();
-    let mut logits = Vec::new();
+    let mut low = LowMask { logits: vec![OUTSIDE; segmenter.mask_size().pow(2)], predicted_iou: 0.0, index: 0 };
     for (id, mask) in (1..=u16::MAX).zip(&masks) {
-        logits.resize(mask.logits.len(), 0.0);
-        mask.logits.convert_to_f32_slice(&mut logits);
-        let low = LowMask { logits: std::mem::take(&mut logits), predicted_iou: 0.0, index: 0 };
+        mask.patch.spread(threshold + OUTSIDE, &mut low.logits);
         let (color_width, color_height) = frame.color.dimensions();
         let [left, top, right, bottom] = bounds(mask, color_width, color_height);
         for (v, y) in rows.iter().enumerate().filter(|(_, y)| (top..=bottom).contains(*y)) {
@@ -32,7 +32,6 @@ pub(super) fn paint(mut masks: Vec<Candidate>, threshold: f32, settings: &SamSet
                 }
             }
         }
-        logits = low.logits;
     }
     IdImage { width, height, ids }
 }
