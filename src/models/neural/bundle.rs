@@ -56,6 +56,8 @@ pub struct TextTower {
     pub output: String,
     pub tokenizer: String,
     pub context_length: usize,
+    #[serde(default)]
+    pub pad_id: u32,
     /// What a noun is put into before it is embedded: "a photo of a {}." for towers trained on captions.
     #[serde(default = "plain")]
     pub template: String,

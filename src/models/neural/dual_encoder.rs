@@ -1,7 +1,7 @@
 //! Pictures and words in one space (paper: the Perception Encoder; CLIP and `SigLIP` alike).
 
 use super::ModelError;
-use super::bundle::{Bundle, DualEncoderManifest};
+use super::bundle::{Bundle, DualEncoderManifest, TextTower};
 use super::network::{Direction, Element, Input, Network, Tensor, Values};
 use super::pixels::{append_planes, fit};
 use camino::Utf8PathBuf;
@@ -65,16 +65,11 @@ impl DualEncoder {
         }
         text.signature()
             .expect(&text_file, Direction::Out, &manifest.text.output, Element::F32, &[None, dim])?;
-        let tokenizer = tokenizer(bundle.path(&manifest.text.tokenizer), manifest.text.context_length)?;
+        let tokenizer = tokenizer(bundle.path(&manifest.text.tokenizer), &manifest.text)?;
         let mut encoder = Self { manifest: manifest.clone(), image, text, tokenizer, batch: 1, queries: Mutex::default() };
         encoder.compute_text("a red chair next to the table")?;
         encoder.batch = if encoder.is_independent()? { BATCH } else { 1 };
         Ok(encoder)
-    }
-
-    #[must_use]
-    pub fn name(&self) -> &str {
-        &self.manifest.name
     }
 
     #[must_use]
@@ -214,10 +209,12 @@ struct Tokens {
 }
 
 /// Reads a tokenizer and holds it to the tower's context.
-fn tokenizer(file: Utf8PathBuf, context_length: usize) -> Result<Tokenizer, ModelError> {
+fn tokenizer(file: Utf8PathBuf, tower: &TextTower) -> Result<Tokenizer, ModelError> {
+    let context_length = tower.context_length;
     let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
     let tokenizer = Tokenizer::from_file(&file).map_err(|e| wrong(e.to_string()))?;
-    let found = tokenizer.encode("a", true).map_err(|e| wrong(e.to_string()))?.len();
+    let short = tokenizer.encode("a", true).map_err(|e| wrong(e.to_string()))?;
+    let found = short.len();
     let truncation = tokenizer.get_truncation().map(|t| t.max_length);
     if found != context_length || truncation != Some(context_length) {
         let truncation = truncation.map_or("nothing".to_owned(), |length| format!("{length} tokens"));
@@ -225,7 +222,10 @@ fn tokenizer(file: Utf8PathBuf, context_length: usize) -> Result<Tokenizer, Mode
             "pads to {found} tokens and cuts at {truncation}, the text tower reads {context_length}: tokenizer and tower disagree"
         )));
     }
-    Ok(tokenizer)
+    match short.get_ids().last() {
+        Some(&pad) if pad == tower.pad_id => Ok(tokenizer),
+        other => Err(wrong(format!("pads with {other:?}, the text tower expects {}", tower.pad_id))),
+    }
 }
 
 /// Unit length, or nothing for the zero vector.

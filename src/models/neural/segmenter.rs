@@ -109,11 +109,6 @@ impl Segmenter {
         Ok(segmenter)
     }
 
-    #[must_use]
-    pub fn name(&self) -> &str {
-        &self.manifest.name
-    }
-
     /// Width and height of the masks that come out.
     #[must_use]
     pub fn mask_size(&self) -> usize {

@@ -164,7 +164,7 @@ fn replace(file: &Utf8Path, from: &str, to: &str) {
 #[test]
 fn what_is_wrong_with_a_bundle_is_told_at_load() {
     type Spoil = fn(&Utf8Path);
-    let cases: [(&str, Spoil, &[&str]); 12] = [
+    let cases: [(&str, Spoil, &[&str]); 13] = [
         ("tiny-dual-encoder", |p| fs::remove_file(p.join("model.json")).unwrap(), &["model.json"]),
         ("tiny-dual-encoder", |p| fs::remove_file(p.join("text.onnx")).unwrap(), &["text.onnx", "missing"]),
         (
@@ -181,6 +181,11 @@ fn what_is_wrong_with_a_bundle_is_told_at_load() {
             "tiny-dual-encoder",
             |p| replace(&p.join("model.json"), "pixel_values", "pixels"),
             &["image.onnx", "pixels", "pixel_values"],
+        ),
+        (
+            "tiny-dual-encoder",
+            |p| replace(&p.join("model.json"), "\"pad_id\": 0", "\"pad_id\": 7"),
+            &["tokenizer.json", "pads with Some(0)"],
         ),
         (
             "tiny-dual-encoder",
