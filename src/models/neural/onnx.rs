@@ -34,11 +34,9 @@ impl std::fmt::Display for Provider {
 }
 
 impl Provider {
-    fn dispatch(self, at_once: usize) -> ExecutionProviderDispatch {
+    fn dispatch(self) -> ExecutionProviderDispatch {
         match self {
-            // An arena keeps the peak of each session for ever, which saves an encoder's single session a seventh of its time and costs
-            // several small sessions hundreds of megabytes for nothing.
-            Self::Cpu => ep::CPU::default().with_arena_allocator(at_once == 1).build(),
+            Self::Cpu => ep::CPU::default().with_arena_allocator(true).build(),
             Self::Cuda => ep::CUDA::default().build(),
             Self::Tensorrt => ep::TensorRT::default().build(),
             Self::Coreml => ep::CoreML::default().build(),
@@ -140,10 +138,9 @@ impl OnnxRuntime {
             .with_intra_threads((self.threads / at_once).max(1))?
             .with_inter_threads(1)?
             .with_intra_op_spinning(false)?
-            // A plan of one large block, made after the first call, would come on top of what an arena holds; without one it is what
-            // makes calls fast.
+            // A plan of one large block, made after the first call, would come on top of what an encoder's arena holds already.
             .with_memory_pattern(at_once > 1)?;
-        let provider = self.provider.dispatch(at_once).error_on_failure();
+        let provider = self.provider.dispatch().error_on_failure();
         builder.with_execution_providers([provider])?.commit_from_file(file)
     }
 }
