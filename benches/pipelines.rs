@@ -42,7 +42,7 @@ fn pipelines(c: &mut Criterion) {
     group.bench_function("import: check, decode, fuse the cloud", |b| b.iter(|| load(black_box(folder))));
     group.bench_function("superpoints", |b| b.iter(|| superpoints::compute(&bundle.cloud, &settings.superpoints, &silent).unwrap()));
     let frame = frames[0].decode().unwrap();
-    group.bench_function("rgbd masks, one frame", |b| b.iter(|| masks.masks(black_box(&frame))));
+    group.bench_function("rgbd masks, one frame", |b| b.iter(|| masks.masks(black_box(&frame), &silent)));
     group.bench_function("parse: superpoints to views", |b| {
         b.iter(|| scene_parsing::parse(bundle.clone(), &Perception::with_masks(&masks), &settings, &Checkpoints::none(), &silent).unwrap());
     });

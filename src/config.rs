@@ -16,6 +16,7 @@ const DEFAULT_MAX_QUEUED_JOBS: u32 = 100;
 const DEFAULT_MAX_CONCURRENT_QUESTIONS: u32 = 32;
 
 /// `uniground serve`
+#[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ServeConfig {
     /// Address to listen on; port 0 picks a free one. Anything but loopback needs a key
@@ -39,7 +40,7 @@ pub struct ServeConfig {
 /// Who may ask.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct AccessConfig {
-    /// File that holds the key callers must show as a bearer token (or the key itself in `UNIGROUND_API_KEY`)
+    /// File that holds the key callers must show as a bearer token (or the key itself in UNIGROUND_API_KEY)
     #[arg(long, env = "UNIGROUND_API_KEY_FILE", value_name = "FILE")]
     pub api_key_file: Option<Utf8PathBuf>,
     /// Serve a non-loopback address without a key: anybody who reaches it can read and delete every scene
@@ -47,7 +48,8 @@ pub struct AccessConfig {
     pub allow_anybody: bool,
 }
 
-/// A vision-language model behind an `OpenAI`-compatible chat endpoint. Its key is in `UNIGROUND_VLM_API_KEY` or in a file.
+/// A vision-language model behind an OpenAI-compatible chat endpoint. Its key is in UNIGROUND_VLM_API_KEY or in a file.
+#[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct VlmConfig {
     /// Address of a chat endpoint, like <https://host/v1>
@@ -56,7 +58,7 @@ pub struct VlmConfig {
     /// Model to ask there
     #[arg(long, env = "UNIGROUND_VLM_MODEL", value_name = "NAME")]
     pub vlm_model: Option<String>,
-    /// File that holds the endpoint's key (or the key itself in `UNIGROUND_VLM_API_KEY`)
+    /// File that holds the endpoint's key (or the key itself in UNIGROUND_VLM_API_KEY)
     #[arg(long, env = "UNIGROUND_VLM_API_KEY_FILE", value_name = "FILE")]
     pub vlm_api_key_file: Option<Utf8PathBuf>,
     /// Price of a million prompt tokens, US dollars
@@ -109,6 +111,7 @@ pub struct ModelsConfig {
 }
 
 /// Where bundles lie and what runs them.
+#[allow(clippy::doc_markdown, rustdoc::invalid_html_tags)] // Help is no Markdown.
 #[derive(Debug, Clone, clap::Args)]
 pub struct BundlesConfig {
     /// Folder with model bundles
@@ -116,7 +119,7 @@ pub struct BundlesConfig {
     pub models: Utf8PathBuf,
     #[command(flatten)]
     pub runtime: RuntimeConfig,
-    /// Run the bundles' networks at this inference server (`KServe` v2 protocol) instead of here, under the names `<bundle>-<file>`
+    /// Run the bundles' networks at this inference server (KServe v2 protocol) instead of here, under the names <bundle>-<file>
     #[arg(long, env = "UNIGROUND_INFERENCE_URL", value_name = "URL")]
     pub inference_url: Option<String>,
     /// How long one call to the inference server may take, seconds
@@ -125,9 +128,10 @@ pub struct BundlesConfig {
 }
 
 /// The library that runs networks on this machine.
+#[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct RuntimeConfig {
-    /// ONNX Runtime's library [default: `ORT_DYLIB_PATH`, ./.onnxruntime/libonnxruntime.so, or beside the executable]
+    /// ONNX Runtime's library [default: ORT_DYLIB_PATH, ./.onnxruntime/libonnxruntime.so, or beside the executable]
     #[arg(long, env = "UNIGROUND_ONNXRUNTIME_LIB", value_name = "FILE")]
     pub onnxruntime_lib: Option<Utf8PathBuf>,
     /// What networks run on; one that is not there is an error

@@ -8,9 +8,9 @@ use crate::geometry::voxels::{VoxelKey, VoxelMap};
 use crate::geometry::{Point3, Vector3};
 use crate::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use crate::ingest::{self, ImportSettings};
-use crate::models::neural::ModelError;
 use crate::progress::Progress;
 use crate::scene::{Frame, PointCloud, SceneBundle};
+use crate::scene_parsing::ParseError;
 use crate::scene_parsing::masks::{IdImage, MaskSource};
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
@@ -198,7 +198,7 @@ impl MaskSource for AnnotatedMasks {
         "annotated"
     }
 
-    fn masks(&self, frame: &Frame) -> Result<IdImage, ModelError> {
+    fn masks(&self, frame: &Frame, _progress: &Progress) -> Result<IdImage, ParseError> {
         let (width, height) = (frame.depth.width, frame.depth.height);
         let camera_to_world = frame.depth_camera.world_to_camera().inverse();
         let intrinsics = frame.depth_camera.intrinsics;

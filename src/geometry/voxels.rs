@@ -20,7 +20,7 @@ impl VoxelKey {
     }
 
     fn pack(cell: [i64; 3]) -> Self {
-        let [x, y, z] = cell.map(|c| (c + BIAS).clamp(0, MASK as i64) as u64);
+        let [x, y, z] = cell.map(|c| (c.saturating_add(BIAS)).clamp(0, MASK as i64) as u64);
         Self(x << 42 | y << 21 | z)
     }
 
@@ -54,7 +54,7 @@ impl VoxelKey {
 /// `value.floor() as i64`, without the call into the C library the oldest x86-64 processors need for it.
 fn floor(value: f32) -> i64 {
     let towards_zero = value as i64;
-    towards_zero - i64::from((towards_zero as f32) > value)
+    towards_zero.saturating_sub(i64::from((towards_zero as f32) > value))
 }
 
 /// A multiplicative hasher for packed keys: they are already well spread and hostile input costs only time.

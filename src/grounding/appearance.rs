@@ -75,8 +75,10 @@ impl Appearance {
             true => cosines.iter().zip(&norms).map(|(cosine, n)| (logit_scale * cosine - n.appearance).exp()).collect(),
             false => cosines,
         };
+        let seen: Vec<bool> = (0..embeddings.len()).map(|i| embeddings.is_seen(i)).collect();
+        // Without a single picture every cosine is zero, and names tell more.
+        let vector = vector.filter(|_| seen.contains(&true));
         let shortlist = vector.map(|vector| calibrated(embeddings.cosines(&vector)));
-        let seen = (0..embeddings.len()).map(|i| embeddings.is_seen(i)).collect();
         Ok(Self { logit_scale, norms, seen, of_word, shortlist, cut })
     }
 
@@ -88,7 +90,7 @@ impl Appearance {
         Some(likeness::fit(self.of_word.get(word)?[index], self.logit_scale, measured, self.norms[index]))
     }
 
-    /// Scores of the shortlist, by index; `None` when the tower knows none of the words.
+    /// Scores of the shortlist, by index; `None` when the tower knows none of the words, or nothing has been seen.
     pub(super) fn shortlist(&self) -> Option<&[f32]> {
         self.shortlist.as_deref()
     }
@@ -128,4 +130,26 @@ fn sentence(query: &str, target: &Phrase, encoder: &DualEncoder, text: QueryText
         (_, full, target) => full.or(target),
     };
     Ok(TextEmbedding { vector, cut: full.cut && text != QueryText::Target })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grounding::query::parse;
+    use crate::models::neural::tests::tiny_encoder;
+
+    #[test]
+    fn without_a_single_picture_names_decide_the_shortlist() {
+        let (encoder, query) = (tiny_encoder(), "the red chair");
+        let looked = |rows: &[f32]| {
+            let embeddings = Embeddings::new(encoder.dim(), rows).with_norms(vec![Norms::default(); 2]);
+            Appearance::of(query, &parse(query), &encoder, &embeddings, ShortlistScoring::default()).unwrap()
+        };
+        let mut rows = vec![0.0; encoder.dim() * 2];
+        assert!(looked(&rows).shortlist().is_none());
+        rows[0] = 1.0;
+        let half_seen = looked(&rows);
+        assert_eq!(half_seen.shortlist().map(<[f32]>::len), Some(2));
+        assert_eq!(half_seen.fit("chair", 1, None), None, "what was never seen has no appearance");
+    }
 }

@@ -3,7 +3,7 @@
 use super::ParseError;
 use super::correction::{Corrector, Projection};
 use super::views::{Sighting, sightings, visible_pixels};
-use crate::models::neural::{DualEncoder, ModelError};
+use crate::models::neural::DualEncoder;
 use crate::progress::Progress;
 use crate::scene::{Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, stream_frames};
 use image::{RgbImage, imageops};
@@ -92,13 +92,13 @@ pub fn look(
             let picture = match corrector {
                 Some(corrector) => {
                     let frame = frame.decode()?;
-                    correct(&frame, labelled, corrector, &mut seen)?;
+                    correct(&frame, labelled, corrector, &mut seen, progress)?;
                     frame.color
                 }
                 None => frame.decode_color()?,
             };
             let embedded = match encoder {
-                Some(encoder) => embed(&picture, &seen, encoder, settings)?,
+                Some(encoder) => embed(&picture, &seen, encoder, settings, progress)?,
                 None => Vec::new(),
             };
             Ok::<_, ParseError>((frame.index, seen, embedded))
@@ -140,11 +140,18 @@ pub fn of_known(
 }
 
 /// Replaces projected boxes by those of masks that agree with them.
-fn correct(frame: &Frame, labelled: Labelled, corrector: &Corrector, boxes: &mut BTreeMap<InstanceId, [u32; 4]>) -> Result<(), ParseError> {
+fn correct(
+    frame: &Frame,
+    labelled: Labelled,
+    corrector: &Corrector,
+    boxes: &mut BTreeMap<InstanceId, [u32; 4]>,
+    progress: &Progress,
+) -> Result<(), ParseError> {
     let encoded = corrector.frames.of(frame.index, &frame.color)?;
     corrector.frames.forget(frame.index);
     let pixels = visible_pixels(labelled.cloud, labelled.instance_of_point, frame, labelled.depth_tolerance);
     for of_instance in pixels.chunk_by(|a, b| a.0 == b.0) {
+        progress.check()?;
         let instance = of_instance[0].0;
         let Some(tight) = boxes.get_mut(&instance) else { continue };
         let pixels: Vec<(f32, f32)> = of_instance.iter().map(|(_, u, v)| (*u, *v)).collect();
@@ -162,10 +169,15 @@ fn embed(
     boxes: &BTreeMap<InstanceId, [u32; 4]>,
     encoder: &DualEncoder,
     settings: &AppearanceSettings,
-) -> Result<Vec<(InstanceId, Vec<f32>)>, ModelError> {
+    progress: &Progress,
+) -> Result<Vec<(InstanceId, Vec<f32>)>, ParseError> {
     let levels = settings.levels as usize;
     let crops: Vec<RgbImage> = boxes.values().flat_map(|tight| crops(picture, *tight, settings)).collect();
-    let vectors = encoder.embed_pictures(&crops)?;
+    let mut vectors = Vec::with_capacity(crops.len());
+    for batch in crops.chunks(encoder.batch()) {
+        progress.check()?;
+        vectors.extend(encoder.embed_pictures(batch)?);
+    }
     let summed = |vectors: &[Vec<f32>]| {
         let mut sum = vec![0.0; encoder.dim()];
         vectors.iter().for_each(|vector| sum.iter_mut().zip(vector).for_each(|(total, v)| *total += v));
@@ -201,6 +213,7 @@ mod tests {
     use crate::models::attributes::tests::thing;
     use crate::models::neural::tests::tiny_encoder;
     use crate::scene::{Support, View};
+    use tokio_util::sync::CancellationToken;
 
     fn sighting(instance: u32, frame: u32, visible_points: u32) -> Sighting {
         Sighting {
@@ -237,9 +250,14 @@ mod tests {
         let picture = RgbImage::from_fn(90, 60, |x, y| image::Rgb([(x * 2) as u8, (y * 3) as u8, 70]));
         let boxes = BTreeMap::from([(InstanceId(1), [5, 5, 40, 40]), (InstanceId(2), [30, 10, 80, 50])]);
         let settings = AppearanceSettings::default();
-        let both = embed(&picture, &boxes, &encoder, &settings).unwrap();
-        let alone = embed(&picture, &BTreeMap::from([(InstanceId(2), [30, 10, 80, 50])]), &encoder, &settings).unwrap();
+        let both = embed(&picture, &boxes, &encoder, &settings, &Progress::silent()).unwrap();
+        let alone =
+            embed(&picture, &BTreeMap::from([(InstanceId(2), [30, 10, 80, 50])]), &encoder, &settings, &Progress::silent()).unwrap();
         assert!(both[1].1.iter().zip(&alone[0].1).all(|(a, b)| (a - b).abs() < 1e-4));
+        let stop = CancellationToken::new();
+        stop.cancel();
+        let stopped = embed(&picture, &boxes, &encoder, &settings, &Progress::new(|_, _| {}, stop));
+        assert!(matches!(stopped, Err(ParseError::Cancelled(_))));
         let sums: Vec<f64> = both
             .iter()
             .flat_map(|(_, sum)| sum.iter().map(|v| f64::from(*v)))

@@ -59,7 +59,7 @@ impl Lifting<'_> {
             |frame| {
                 progress.check()?;
                 let frame = frame.decode()?;
-                let ids = self.masks.masks(&frame)?;
+                let ids = self.masks.masks(&frame, progress)?;
                 Ok::<_, ParseError>(lift(self.cloud, self.superpoint_of_point, &frame, &ids, self.depth_tolerance))
             },
             |i, table| {

@@ -3,7 +3,7 @@
 use super::Service;
 use super::cache::LoadedParse;
 use super::looking::{Asked, Seen, appearance, read_embeddings};
-use super::parsing::ParseModels;
+use super::parse_settings::ParseModels;
 use super::questions::{GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest, check_query, check_top_k};
 use crate::error::Error;
 use crate::geometry::boxes::{Aabb, OrientedBox};

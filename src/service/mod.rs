@@ -4,6 +4,7 @@ mod answering;
 mod cache;
 mod instances;
 mod looking;
+mod parse_settings;
 mod parsing;
 mod pictures;
 mod questions;
@@ -14,7 +15,8 @@ mod uploads;
 
 pub use answering::{Answer, BUILTIN_REASONER, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
 pub use instances::{InstanceList, InstanceView, ViewPicture};
-pub use parsing::{ModelChoice, PARSE_JOB, ParseModels, ParsePreset, ParseSettings, ParsedScan, PartChoice, parse_scan};
+pub use parse_settings::{ModelChoice, ParseModels, ParsePreset, ParseSettings, PartChoice};
+pub use parsing::{PARSE_JOB, ParsedScan, parse_scan};
 pub use questions::{Ablation, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
 pub use reports::{ReportPictureLink, SceneReport};
 pub use scenes::{Scene, SceneCounts, SceneList, SceneStatus};

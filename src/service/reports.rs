@@ -1,6 +1,6 @@
 //! What a parse did, in figures and pictures.
 
-use super::parsing::{ParseModels, ParseSettings};
+use super::parse_settings::{ParseModels, ParseSettings};
 use super::report_files::{self, Entry};
 use super::{Scene, Service};
 use crate::error::Error;

@@ -1,6 +1,7 @@
 //! Scenes as the outside sees them.
 
-use super::parsing::{EMBEDDINGS_FILE, ParseModels, ParseSettings};
+use super::parse_settings::{ParseModels, ParseSettings};
+use super::parsing::EMBEDDINGS_FILE;
 use super::{Service, uploads};
 use crate::error::Error;
 use crate::geometry::boxes::Aabb;

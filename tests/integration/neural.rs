@@ -9,6 +9,7 @@ use axum::routing::{get, post};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::{Value, json};
 use std::fs;
+use std::process::Command;
 use std::sync::Arc;
 use std::time::Duration;
 use uniground::config::{BundlesConfig, LimitsConfig, ModelsConfig, RuntimeConfig, VlmConfig};
@@ -171,6 +172,31 @@ fn a_server_whose_models_are_wrong_does_not_start() {
 }
 
 /// How an inference server behaves when it is asked to compute.
+/// What lies in the folder, and whether it works, from the command line.
+#[test]
+fn bundles_are_listed_and_verified() {
+    let (folder, library) = (root().join("tests/data"), bundles().runtime.onnxruntime_lib.unwrap());
+    let models = |args: &[&str]| {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_uniground"));
+        let output = program.arg("models").args(args).args(["--models", folder.as_str()]).output().unwrap();
+        let told = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+        (output.status.code(), told(&output.stdout), told(&output.stderr))
+    };
+    let (code, listed, _) = models(&["list"]);
+    assert_eq!(code, Some(0));
+    let row = |name: &str| listed.lines().find(|line| line.contains(name)).unwrap_or_default().to_owned();
+    assert!(row("tiny-dual-encoder").contains("--encoder") && row("tiny-segmenter-sam").contains("--masks"), "{listed}");
+
+    let verify = |more: &[&str]| models(&[&["verify", "--onnxruntime-lib", library.as_str()], more].concat());
+    let (code, verified, _) = verify(&["--json"]);
+    let loaded: Value = serde_json::from_str(&verified).unwrap();
+    assert_eq!((code, loaded.as_array().map(Vec::len)), (Some(0), Some(3)), "{verified}");
+    let (code, verified, told) = verify(&["tiny-dual-encoder", "no-such-bundle"]);
+    assert_eq!(code, Some(1));
+    assert!(verified.contains("tiny-dual-encoder works as --encoder on cpu, 64 dimensions"), "{verified}");
+    assert!(told.contains("no-such-bundle/model.json") && told.contains("1 of 2 bundles do not work"), "{told}");
+}
+
 #[derive(Debug, Clone, Copy)]
 enum Mood {
     Hangs,

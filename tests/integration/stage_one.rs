@@ -10,7 +10,6 @@ use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_
 use uniground::geometry::Point3;
 use uniground::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use uniground::ingest::{self, ImportSettings};
-use uniground::models::neural::ModelError;
 use uniground::progress::Progress;
 use uniground::scene::{Frame, ImportReport, ParsedScene, PointCloud, PoseConvention, SceneBundle, Structure};
 use uniground::scene_parsing::checkpoints::Checkpoints;
@@ -144,11 +143,11 @@ impl MaskSource for Watched {
         "watched"
     }
 
-    fn masks(&self, frame: &Frame) -> Result<IdImage, ModelError> {
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<IdImage, ParseError> {
         if self.frames.fetch_add(1, Ordering::SeqCst) + 1 == self.stop_after {
             self.stop.cancel();
         }
-        RgbdMasks::default().masks(frame)
+        RgbdMasks::default().masks(frame, progress)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::{OpenScene, System};
 use crate::client::Client;
+use crate::config::{BUILTIN_ENCODER, BUILTIN_MASKS};
 use crate::evaluation::configuration::{Configuration, Source};
 use crate::evaluation::digest;
 use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
@@ -60,9 +61,11 @@ impl System for Server {
     }
 
     fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()> {
-        let Configuration { source, preset, paper_compatible, .. } = configuration;
+        let Configuration { source, preset, masks, encoder, paper_compatible, .. } = configuration;
         ensure!(*source == Source::Parsed, "a server parses by itself: annotated and recorded instances need a run in process");
         ensure!(*preset == ParsePreset::Default, "a server parses with its own settings: presets need a run in process");
+        let unnamed = masks == BUILTIN_MASKS && encoder == BUILTIN_ENCODER;
+        ensure!(unnamed, "a server looks through the models it was started with: masks= and encoder= need a run in process");
         ensure!(!paper_compatible, "a server takes no annotated hints: --paper-compatible needs a run in process");
         Ok(())
     }

@@ -46,6 +46,13 @@ pub struct ImageTower {
     pub interpolation: Interpolation,
     pub mean: [f32; 3],
     pub std: [f32; 3],
+    /// Several pictures fit into one call.
+    #[serde(default = "yes")]
+    pub dynamic_batch: bool,
+}
+
+fn yes() -> bool {
+    true
 }
 
 #[derive(Debug, Clone, PartialEq, Deserialize)]

@@ -68,7 +68,7 @@ impl DualEncoder {
         let tokenizer = tokenizer(bundle.path(&manifest.text.tokenizer), &manifest.text)?;
         let mut encoder = Self { manifest: manifest.clone(), image, text, tokenizer, batch: 1, queries: Mutex::default() };
         encoder.compute_text("a red chair next to the table")?;
-        encoder.batch = if encoder.is_independent()? { BATCH } else { 1 };
+        encoder.batch = if manifest.image.dynamic_batch && encoder.is_independent()? { BATCH } else { 1 };
         Ok(encoder)
     }
 
@@ -77,7 +77,8 @@ impl DualEncoder {
         self.manifest.embedding_dim
     }
 
-    /// Pictures per call: 1 where an embedding depends on its neighbours, as with activations quantised over the whole batch.
+    /// Pictures per call: 1 where the network takes no more, or an embedding depends on its neighbours, as with activations quantised over
+    /// the whole batch.
     #[must_use]
     pub fn batch(&self) -> usize {
         self.batch

@@ -305,7 +305,8 @@ const REFUSED: &str = "refused";
 /// Asks until there is an answer, a refusal, or no patience left.
 fn patiently(request: impl Fn() -> RequestBuilder) -> Result<Response, String> {
     let mut wait = FIRST_WAIT;
-    for attempt in 1.. {
+    let mut attempt = 1;
+    loop {
         let (why, told) = match request().send() {
             Ok(answer) if answer.status().is_success() => return Ok(answer),
             Ok(answer) => {
@@ -329,8 +330,8 @@ fn patiently(request: impl Fn() -> RequestBuilder) -> Result<Response, String> {
         }
         sleep(told.unwrap_or(wait).min(LONGEST_WAIT));
         wait *= 2;
+        attempt += 1;
     }
-    Err("no attempt".into())
 }
 
 fn comes_back(status: StatusCode) -> bool {

@@ -219,6 +219,13 @@ fn what_is_wrong_with_a_bundle_is_told_at_load() {
 }
 
 #[test]
+fn a_network_for_one_picture_gets_one_at_a_time() {
+    let (_folder, path) =
+        spoilt("tiny-dual-encoder", |p| replace(&p.join("model.json"), "\"dynamic_batch\": true", "\"dynamic_batch\": false"));
+    assert_eq!(Models::default().with_encoder(&engine(), &path).unwrap().encoder.unwrap().batch(), 1);
+}
+
+#[test]
 fn a_bundle_of_the_other_kind_is_refused() {
     let error = Models::default().with_segmenter(&engine(), &data("tiny-dual-encoder")).unwrap_err().to_string();
     assert!(error.contains("promptable-segmenter"), "{error}");

@@ -5,7 +5,8 @@
 pub mod rgbd;
 pub mod sam;
 
-use crate::models::neural::ModelError;
+use super::ParseError;
+use crate::progress::Progress;
 use crate::scene::Frame;
 
 /// One mask id per pixel of a frame's **depth** image, row-major; 0 = no mask.
@@ -36,9 +37,9 @@ pub trait MaskSource: Send + Sync {
     /// Name and version, recorded with the parse.
     fn name(&self) -> &str;
 
-    /// The masks of one frame, at the resolution of its depth image.
+    /// The masks of one frame, at the resolution of its depth image. A model takes seconds for it: it looks at `progress` between its calls.
     ///
     /// # Errors
-    /// [`ModelError`] when a model fails; the built-in masks never do.
-    fn masks(&self, frame: &Frame) -> Result<IdImage, ModelError>;
+    /// [`ParseError`] when a model fails or the caller has asked to stop; the built-in masks never fail.
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<IdImage, ParseError>;
 }

@@ -9,8 +9,9 @@ mod surfaces;
 mod things;
 
 use super::{IdImage, MaskSource};
-use crate::models::neural::ModelError;
+use crate::progress::Progress;
 use crate::scene::Frame;
+use crate::scene_parsing::ParseError;
 use serde::{Deserialize, Serialize};
 use surfaces::Surfaces;
 use utoipa::ToSchema;
@@ -68,7 +69,7 @@ impl MaskSource for RgbdMasks {
         "rgbd-2"
     }
 
-    fn masks(&self, frame: &Frame) -> Result<IdImage, ModelError> {
+    fn masks(&self, frame: &Frame, _progress: &Progress) -> Result<IdImage, ParseError> {
         let surfaces = Surfaces::of(frame, self.settings.stride);
         let patches = patches::cut(&surfaces, &self.settings);
         let things = things::join(&surfaces, &patches, &self.settings);

@@ -7,8 +7,10 @@ mod paint;
 pub use encoded_frames::EncodedFrames;
 
 use super::{IdImage, MaskSource};
-use crate::models::neural::{Encoded, LowMask, ModelError, Prompt};
+use crate::models::neural::{Encoded, LowMask, Prompt};
+use crate::progress::Progress;
 use crate::scene::Frame;
+use crate::scene_parsing::ParseError;
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 use image::imageops;
@@ -155,13 +157,13 @@ impl MaskSource for SamMasks<'_> {
         &self.name
     }
 
-    fn masks(&self, frame: &Frame) -> Result<IdImage, ModelError> {
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<IdImage, ParseError> {
         let mut candidates = Vec::new();
         let (width, height) = frame.color.dimensions();
         let points = self.settings.points_per_side;
         let encoded = self.frames.of(frame.index, &frame.color)?;
         let whole = Window { left: 0, top: 0, width, height, scale: self.frames.segmenter.low_scale(&encoded) };
-        self.ask(&encoded, whole, points, (width, height), &mut candidates)?;
+        self.ask(&encoded, whole, points, (width, height), &mut candidates, progress)?;
         drop(encoded);
         if self.settings.quarters {
             let reach = |length: u32| ((length as f32 * (0.5 + QUARTER_OVERLAP)) as u32).clamp(1, length);
@@ -170,7 +172,7 @@ impl MaskSource for SamMasks<'_> {
                 let quarter = imageops::crop_imm(&frame.color, left, top, w, h).to_image();
                 let encoded = self.frames.segmenter.encode(&quarter)?;
                 let window = Window { left, top, width: w, height: h, scale: self.frames.segmenter.low_scale(&encoded) };
-                self.ask(&encoded, window, points.div_ceil(2), (width, height), &mut candidates)?;
+                self.ask(&encoded, window, points.div_ceil(2), (width, height), &mut candidates, progress)?;
             }
         }
         Ok(paint::paint(self.select(candidates), &self.frames.segmenter, &self.settings, frame))
@@ -186,13 +188,15 @@ impl SamMasks<'_> {
         points: u32,
         picture: (u32, u32),
         candidates: &mut Vec<Candidate>,
-    ) -> Result<(), ModelError> {
+        progress: &Progress,
+    ) -> Result<(), ParseError> {
         let segmenter = &self.frames.segmenter;
         let at = |i: u32, length: u32| (i as f32 + 0.5) * length as f32 / points as f32 - 0.5;
         let grid = (0..points * points).map(|i| Prompt::inside([(at(i % points, window.width), at(i / points, window.height))]));
         let lookup = cell_lookup(window, picture, segmenter.mask_size());
         let prompts: Vec<Prompt> = grid.collect();
         for batch in prompts.chunks(segmenter.batch()) {
+            progress.check()?;
             let masks = segmenter.decode(encoded, batch)?;
             candidates.extend(masks.iter().flatten().filter_map(|mask| self.candidate(mask, window, &lookup)));
         }
@@ -271,6 +275,7 @@ mod tests {
     use crate::models::neural::tests::tiny_segmenter;
     use crate::scene::{Camera, DepthImage, FrameIndex, Intrinsics};
     use image::{Rgb, RgbImage};
+    use tokio_util::sync::CancellationToken;
 
     fn frame() -> Frame {
         let intrinsics = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 47.5, cy: 31.5 };
@@ -287,7 +292,9 @@ mod tests {
 
     fn masks(bundle: &str, settings: SamSettings) -> IdImage {
         let frames = EncodedFrames::new(tiny_segmenter(bundle), None, 0).unwrap();
-        SamMasks { frames: &frames, settings, name: "tiny".into() }.masks(&frame()).unwrap()
+        SamMasks { frames: &frames, settings, name: "tiny".into() }
+            .masks(&frame(), &Progress::silent())
+            .unwrap()
     }
 
     /// Random weights: nothing can be said about the masks but that they are there, bounded, and the same every time.
@@ -305,6 +312,40 @@ mod tests {
             assert_eq!(masks(bundle, SamSettings { min_predicted_iou: 100.0, ..open }).count(), 0);
             assert!(masks(bundle, SamSettings { quarters: true, ..open }).count() > 0);
         }
+    }
+
+    #[test]
+    fn a_caller_who_leaves_is_noticed_between_two_calls() {
+        let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();
+        let stop = CancellationToken::new();
+        let progress = Progress::new(|_, _| {}, stop.clone());
+        stop.cancel();
+        let masks = SamMasks { frames: &frames, settings: SamSettings::default(), name: "tiny".into() }.masks(&frame(), &progress);
+        assert!(matches!(masks, Err(ParseError::Cancelled(_))));
+    }
+
+    /// A part of a thing that the model is less sure of than of the whole.
+    #[test]
+    fn the_order_decides_what_stays_visible() {
+        let segmenter = tiny_segmenter("tiny-segmenter");
+        let size = segmenter.mask_size();
+        let window = Window { left: 0, top: 0, width: 96, height: 64, scale: (size as f32 / 96.0, size as f32 / 64.0) };
+        let square = |quality: f32, reach: usize| {
+            let inside = |u: usize, v: usize, of: usize| u.abs_diff(of / 2) < reach * of / 100 && v.abs_diff(of / 2) < reach * of / 100;
+            let logits: Vec<f32> = (0..size * size).map(|i| if inside(i % size, i / size, size) { 9.0 } else { -9.0 }).collect();
+            let bits: Vec<bool> = (0..GRID * GRID).map(|i| inside(i % GRID, i / GRID, GRID)).collect();
+            let word = |bits: &[bool]| bits.iter().enumerate().fold(0, |word, (bit, on)| word | u64::from(*on) << bit);
+            let area = bits.iter().filter(|on| **on).count() as u32;
+            Candidate { quality, cells: bits.chunks(64).map(word).collect(), area, patch: Patch::around_inside(&logits, 0.0), window }
+        };
+        let painted = |order| {
+            let masks = vec![square(0.9, 40), square(0.6, 15)];
+            paint::paint(masks, &segmenter, &SamSettings { order, ..SamSettings::default() }, &frame())
+        };
+        // Ids count in the order of painting.
+        let (by_quality, by_size) = (painted(MaskOrder::AscendingQuality), painted(MaskOrder::LargerFirst));
+        assert_eq!((by_quality.at((48, 32)), by_quality.at((20, 32))), (2, 2), "the surer one covers its part");
+        assert_eq!((by_size.at((48, 32)), by_size.at((20, 32)), by_size.at((2, 2))), (2, 1, 0), "the part lies on its whole");
     }
 
     #[test]
