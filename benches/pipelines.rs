@@ -12,7 +12,7 @@ use uniground::grounding::{Question, SceneView, ground};
 use uniground::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use uniground::ingest::{self, ImportSettings};
 use uniground::progress::Progress;
-use uniground::render::{ROOM_VIEW, scene_picture};
+use uniground::render::{ROOM_VIEW, Scenery, scene_picture};
 use uniground::scene::SceneBundle;
 use uniground::scene_parsing::checkpoints::Checkpoints;
 use uniground::scene_parsing::masks::MaskSource;
@@ -61,7 +61,9 @@ fn pipelines(c: &mut Criterion) {
     }
     let extent = Aabb::around(&parsed.cloud.positions).unwrap();
     group.sample_size(20);
-    group.bench_function("picture of the room, 1024x768", |b| b.iter(|| scene_picture(&parsed.cloud, &extent, &ROOM_VIEW, &[])));
+    group.bench_function("picture of the room, 1024x768", |b| {
+        b.iter(|| scene_picture(&Scenery::of(parsed.cloud.clone()), &extent, &ROOM_VIEW, &[]));
+    });
     group.finish();
 }
 

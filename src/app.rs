@@ -4,7 +4,7 @@ use crate::config::ServeConfig;
 use crate::http::{self, App};
 use crate::jobs::Jobs;
 use crate::models::chat::Tape;
-use crate::service::{PARSE_JOB, Service};
+use crate::service::{NAMING_JOB, PARSE_JOB, Service, Vlm, VlmSettings};
 use crate::store::Store;
 use anyhow::Context;
 use std::collections::HashMap;
@@ -44,14 +44,15 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     for model in &models.loaded {
         tracing::info!(name = model.name, fingerprint = model.fingerprint, runs_on = model.runs_on, "loaded a model");
     }
-    let vlm = config.vlm.client(Tape::None)?.map(Arc::new);
+    let vlm_settings = VlmSettings { daily_usd: config.vlm.vlm_daily_usd, json: config.vlm.vlm_json };
+    let vlm = config.vlm.client(Tape::None)?.map(|client| Vlm::new(client, vlm_settings));
     let service = Service::new(store.clone(), jobs.clone(), config.limits.service_limits(), vlm, models);
     let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
 
     let shutdown = CancellationToken::new();
     let worker_ended = CancellationToken::new();
-    let handlers = HashMap::from([(PARSE_JOB, service.parse_handler())]);
+    let handlers = HashMap::from([(PARSE_JOB, service.parse_handler()), (NAMING_JOB, service.naming_handler())]);
     let worker = tokio::spawn({
         let (shutdown, worker_ended) = (shutdown.clone(), worker_ended.clone());
         async move {
@@ -62,12 +63,26 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
             }
         }
     });
+    tokio::spawn(forget_daily(service.clone(), shutdown.clone()));
     let router = http::router(App { service, api_key, shutdown: shutdown.clone(), worker: worker_ended });
     let server = tokio::spawn({
         let shutdown = shutdown.clone();
         async move { axum::serve(listener, router).with_graceful_shutdown(shutdown.cancelled_owned()).await }
     });
     Ok(RunningService { address, shutdown, server, worker, store })
+}
+
+/// Removes transcripts that were kept long enough: now, and every day.
+async fn forget_daily(service: Service, shutdown: CancellationToken) {
+    const DAY: Duration = Duration::from_hours(24);
+    loop {
+        if let Err(error) = service.forget_transcripts().await {
+            tracing::warn!(error = &error as &dyn std::error::Error, "old transcripts could not be removed");
+        }
+        if shutdown.run_until_cancelled(sleep(DAY)).await.is_none() {
+            return;
+        }
+    }
 }
 
 /// How long running requests may take once the service stops.

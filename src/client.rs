@@ -2,7 +2,10 @@
 
 use crate::http::{FieldError, Problem};
 use crate::jobs::Job;
-use crate::service::{Answer, GroundRequest, InstanceList, InstanceView, Scene, SceneList, SceneReport, ShortlistRequest, Shortlisted};
+use crate::service::{
+    Answer, AnswerPrompt, AnswerReply, GroundRequest, InstanceList, InstanceView, Scene, SceneList, SceneReport, ShortlistRequest,
+    Shortlisted,
+};
 use futures::StreamExt;
 use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
 use serde::Serialize;
@@ -162,6 +165,26 @@ impl Client {
     /// [`ClientError`].
     pub async fn models(&self) -> Result<ModelList, ClientError> {
         json(self.request(Method::GET, "v1/models")).await
+    }
+
+    /// Has the server's model name the objects of a scene.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn name_instances(&self, scene_id: &str) -> Result<Job, ClientError> {
+        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/names"))).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn answer_prompt(&self, id: &str) -> Result<AnswerPrompt, ClientError> {
+        json(self.request(Method::GET, &format!("v1/answers/{id}/prompt"))).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn answer_reply(&self, id: &str) -> Result<AnswerReply, ClientError> {
+        json(self.request(Method::GET, &format!("v1/answers/{id}/reply"))).await
     }
 
     /// # Errors

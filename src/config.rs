@@ -14,6 +14,8 @@ use std::time::Duration;
 const DEFAULT_MAX_UPLOAD_BYTES: u64 = 16 << 30;
 const DEFAULT_MAX_QUEUED_JOBS: u32 = 100;
 const DEFAULT_MAX_CONCURRENT_QUESTIONS: u32 = 32;
+const DEFAULT_VLM_CONCURRENCY: u32 = 8;
+const DEFAULT_KEEP_EVIDENCE_DAYS: u32 = 30;
 
 /// `uniground serve`
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
@@ -38,6 +40,7 @@ pub struct ServeConfig {
 }
 
 /// Who may ask.
+#[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct AccessConfig {
     /// File that holds the key callers must show as a bearer token (or the key itself in UNIGROUND_API_KEY)
@@ -67,6 +70,15 @@ pub struct VlmConfig {
     /// Price of a million completion tokens, US dollars
     #[arg(long, env = "UNIGROUND_VLM_COMPLETION_USD", default_value_t = 0.0, value_name = "USD")]
     pub vlm_completion_usd: f64,
+    /// Most that may be spent on the model in a day (UTC), US dollars; needs prices
+    #[arg(long, env = "UNIGROUND_VLM_DAILY_USD", value_name = "USD")]
+    pub vlm_daily_usd: Option<f64>,
+    /// Requests to the endpoint at once
+    #[arg(long, env = "UNIGROUND_VLM_CONCURRENCY", default_value_t = DEFAULT_VLM_CONCURRENCY, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub vlm_concurrency: u32,
+    /// Ask for answers as JSON by a schema, where the endpoint knows schemas
+    #[arg(long, env = "UNIGROUND_VLM_JSON")]
+    pub vlm_json: bool,
 }
 
 impl VlmConfig {
@@ -75,7 +87,8 @@ impl VlmConfig {
     /// # Errors
     /// An address without a model or the other way round, an address that is none, or an unreadable key file.
     pub fn client(&self, tape: Tape) -> anyhow::Result<Option<ChatClient>> {
-        let Self { vlm_url, vlm_model, vlm_api_key_file, vlm_prompt_usd, vlm_completion_usd } = self;
+        let Self { vlm_url, vlm_model, vlm_api_key_file, vlm_prompt_usd, vlm_completion_usd, vlm_daily_usd, vlm_concurrency, vlm_json: _ } =
+            self;
         let (base_url, model) = match (vlm_url, vlm_model) {
             (None, None) => return Ok(None),
             (Some(url), Some(model)) => (url.clone(), model.clone()),
@@ -87,8 +100,22 @@ impl VlmConfig {
             Some(file) => Some(fs::read_to_string(file).with_context(|| format!("the key file {file}"))?.trim().to_owned()),
             None => std::env::var("UNIGROUND_VLM_API_KEY").ok(),
         };
+        for (flag, usd) in [
+            ("--vlm-prompt-usd", Some(*vlm_prompt_usd)),
+            ("--vlm-completion-usd", Some(*vlm_completion_usd)),
+            ("--vlm-daily-usd", *vlm_daily_usd),
+        ] {
+            ensure!(usd.is_none_or(|usd| usd.is_finite() && usd >= 0.0), "{flag}: must be 0 or more");
+        }
+        // Without prices nothing seems to cost anything, and a budget would protect nobody.
+        let is_free = *vlm_prompt_usd == 0.0 && *vlm_completion_usd == 0.0;
+        ensure!(!is_free || vlm_daily_usd.is_none(), "--vlm-daily-usd needs --vlm-prompt-usd and --vlm-completion-usd");
         let prices = Prices { prompt_usd: *vlm_prompt_usd, completion_usd: *vlm_completion_usd };
-        Ok(Some(ChatClient::new(Endpoint { base_url, model, api_key, prices }, Patience::default(), tape)))
+        Ok(Some(ChatClient::new(
+            Endpoint { base_url, model, api_key, prices, concurrency: (*vlm_concurrency).max(1) as usize },
+            Patience::default(),
+            tape,
+        )))
     }
 }
 
@@ -222,6 +249,9 @@ pub struct LimitsConfig {
     /// Questions answered at once
     #[arg(long, env = "UNIGROUND_MAX_CONCURRENT_QUESTIONS", default_value_t = DEFAULT_MAX_CONCURRENT_QUESTIONS, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub max_concurrent_questions: u32,
+    /// Days for which the pictures, prompts and replies of answers by a model are kept; 0: none are
+    #[arg(long, env = "UNIGROUND_KEEP_EVIDENCE_DAYS", default_value_t = DEFAULT_KEEP_EVIDENCE_DAYS, value_name = "DAYS")]
+    pub keep_evidence_days: u32,
 }
 
 /// What the log looks like. Its level is `RUST_LOG`'s, `info` by default.
@@ -244,6 +274,7 @@ impl Default for LimitsConfig {
             max_unpacked_bytes: UnpackLimits::default().max_bytes,
             max_queued_jobs: DEFAULT_MAX_QUEUED_JOBS,
             max_concurrent_questions: DEFAULT_MAX_CONCURRENT_QUESTIONS,
+            keep_evidence_days: DEFAULT_KEEP_EVIDENCE_DAYS,
         }
     }
 }
@@ -255,6 +286,7 @@ impl LimitsConfig {
             max_upload_bytes: self.max_upload_bytes,
             unpack: UnpackLimits { max_bytes: self.max_unpacked_bytes, ..UnpackLimits::default() },
             max_concurrent_questions: self.max_concurrent_questions as usize,
+            keep_evidence_days: self.keep_evidence_days,
         }
     }
 }

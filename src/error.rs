@@ -2,6 +2,7 @@
 
 use crate::ingest::IngestError;
 use crate::jobs::JobsError;
+use crate::models::chat::{AskError, OverBudget};
 use crate::models::neural::ModelError;
 use crate::scene::InstanceId;
 use crate::scene_parsing::ParseError;
@@ -35,7 +36,15 @@ pub enum Error {
     #[error("{pointer}: {detail}")]
     Invalid { pointer: String, detail: String },
     #[error("no vision-language model is configured; use reasoner \"auto\" or \"builtin\", and parser \"builtin\"")]
-    VlmUnavailable,
+    VlmNotConfigured,
+    #[error("the vision-language model could not be asked, in {attempts} attempts: {why}")]
+    VlmFailed { why: String, attempts: u32 },
+    #[error(transparent)]
+    OverBudget(OverBudget),
+    #[error("answer {id} has no prompt and no replies: no model was asked, or they are no longer kept")]
+    NoTranscript { id: String },
+    #[error("answer {id} has no picture {name:?}")]
+    AnswerPictureNotFound { id: String, name: String },
     #[error(transparent)]
     Model(#[from] ModelError),
     #[error("the scene was parsed with the encoder {parsed_with}, this server has {here}: parse it again, or say \"allow_builtin\"")]
@@ -52,6 +61,16 @@ pub enum Error {
     Io(#[from] io::Error),
     #[error("background work stopped unexpectedly")]
     Background(#[from] tokio::task::JoinError),
+}
+
+impl From<AskError> for Error {
+    fn from(error: AskError) -> Self {
+        match error {
+            AskError::Budget(budget) => Self::OverBudget(budget),
+            AskError::Chat(failure) => Self::VlmFailed { why: failure.error.to_string(), attempts: failure.attempts },
+            AskError::CallsUsedUp { .. } => Self::VlmFailed { why: error.to_string(), attempts: 0 },
+        }
+    }
 }
 
 impl From<serde_json::Error> for Error {
@@ -113,7 +132,10 @@ impl Error {
             Self::AnswerNotFound { .. } => "answer_not_found",
             Self::SceneNotReady { .. } => "scene_not_ready",
             Self::Invalid { .. } => "invalid_request",
-            Self::VlmUnavailable => "vlm_unavailable",
+            Self::VlmNotConfigured | Self::VlmFailed { .. } => "vlm_unavailable",
+            Self::OverBudget(_) => "budget_spent",
+            Self::NoTranscript { .. } => "no_transcript",
+            Self::AnswerPictureNotFound { .. } => "answer_picture_not_found",
             Self::Model(_) => "model_failed",
             Self::EncoderChanged { .. } => "encoder_changed",
             Self::QuestionTimedOut { .. } => "question_timed_out",

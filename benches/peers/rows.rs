@@ -16,7 +16,7 @@ use uniground::geometry::{Point3, Vector3};
 use uniground::ingest::read_cloud;
 use uniground::models::neural::{Encoded, Prompt, Segmenter};
 use uniground::progress::Progress;
-use uniground::render::{ROOM_VIEW, scene_picture};
+use uniground::render::{ROOM_VIEW, Scenery, scene_picture};
 use uniground::scene::{PointCloud, write_cloud_ply};
 use uniground::scene_parsing::superpoints::{self, SuperpointSettings};
 
@@ -173,7 +173,7 @@ pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
         what: format!("picture of the room, {size}, Open3D {how}"),
         ours: Ours::Same(Box::new(|| {
             let drawn = |picture: &image::RgbImage| format!("{} pixels", picture.pixels().filter(|p| p.0 != BACKGROUND).count());
-            Ok(timed(|| scene_picture(&input.cloud, &input.extent, &ROOM_VIEW, &[]), drawn))
+            Ok(timed(|| scene_picture(&Scenery::of(input.cloud.clone()), &input.extent, &ROOM_VIEW, &[]), drawn))
         })),
         peer: asked(open3d, command.into()),
         differ,

@@ -55,7 +55,7 @@ struct RunArgs {
     /// Where scans and annotations of the scenes lie, if not beside the suite
     #[arg(long, value_name = "FOLDER")]
     scenes: Option<Utf8PathBuf>,
-    /// What to vary: `axis=value,value;axis=…` over source, preset, masks, encoder, reasoner, ablation, top_k, convention
+    /// What to vary: `axis=value,value;axis=…` over source, preset, masks, encoder, parser, reasoner, ablation, evidence, top_k, convention
     #[arg(long, default_value = "", value_parser = check_matrix)]
     matrix: String,
     /// Ask a running server instead of this executable (its key: UNIGROUND_API_KEY)
@@ -71,6 +71,9 @@ struct RunArgs {
     /// Take the model's answers from this tape: nothing is asked and nothing costs
     #[arg(long, value_name = "FILE", conflicts_with = "server")]
     replay: Option<Utf8PathBuf>,
+    /// Most the model may cost in this run, US dollars: questions past that fail
+    #[arg(long, value_name = "USD", conflicts_with = "server")]
+    max_usd: Option<f64>,
     /// Questions asked at once; latencies are honest with one
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]
     concurrency: u16,
@@ -127,7 +130,7 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     }
     let system: Box<dyn System> = match &args.server {
         Some(address) => Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?),
-        None => Box::new(InProcess::new(args.models.clone(), vlm_client(args)?, args.record.as_deref())?),
+        None => Box::new(InProcess::new(args.models.clone(), vlm_client(args)?, args.record.as_deref(), args.max_usd)?),
     };
     suite.omissions.iter().for_each(|omission| eprintln!("left out: {omission}"));
     let run = RunOptions { out: &args.out, cells: &cells, concurrency: args.concurrency.into(), progress: &show_progress };

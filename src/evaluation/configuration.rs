@@ -2,7 +2,7 @@
 
 use crate::config::{BUILTIN_ENCODER, BUILTIN_MASKS};
 use crate::grounding::direction::DirectionConvention;
-use crate::service::{Ablation, ParsePreset, ParserChoice, ReasonerChoice};
+use crate::service::{Ablation, EvidenceMode, ParsePreset, ParserChoice, ReasonerChoice};
 use anyhow::{Context, bail, ensure};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -34,6 +34,7 @@ pub struct Configuration {
     pub parser: ParserChoice,
     pub reasoner: ReasonerChoice,
     pub ablation: Ablation,
+    pub evidence: EvidenceMode,
     pub top_k: u32,
     pub convention: DirectionConvention,
     pub paper_compatible: bool,
@@ -47,8 +48,10 @@ impl Default for Configuration {
             masks: BUILTIN_MASKS.into(),
             encoder: BUILTIN_ENCODER.into(),
             parser: ParserChoice::Builtin,
-            reasoner: ReasonerChoice::Auto,
+            // A table costs nothing unless somebody says so.
+            reasoner: ReasonerChoice::Builtin,
             ablation: Ablation::Full,
+            evidence: EvidenceMode::Full,
             top_k: 5,
             convention: DirectionConvention::Paper,
             paper_compatible: false,
@@ -102,6 +105,7 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
         "parser" => configuration.parser = word(axis, value, "builtin, vlm")?,
         "reasoner" => configuration.reasoner = word(axis, value, "auto, builtin, vlm")?,
         "ablation" => configuration.ablation = word(axis, value, "full, no_global, no_candidate, simple_prompt")?,
+        "evidence" => configuration.evidence = word(axis, value, "full, cached_names")?,
         "convention" => configuration.convention = word(axis, value, "paper, viewer")?,
         "masks" => value.clone_into(&mut configuration.masks),
         "encoder" => value.clone_into(&mut configuration.encoder),
@@ -109,7 +113,7 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
             Ok(top_k) if (1..=MAX_TOP_K).contains(&top_k) => configuration.top_k = top_k,
             _ => bail!("top_k={value}: expected 1 to {MAX_TOP_K}"),
         },
-        _ => bail!("{axis}: unknown; the axes are source, preset, masks, encoder, parser, reasoner, ablation, top_k, convention"),
+        _ => bail!("{axis}: unknown; the axes are source, preset, masks, encoder, parser, reasoner, ablation, evidence, top_k, convention"),
     }
     Ok(())
 }

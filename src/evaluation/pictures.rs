@@ -2,8 +2,7 @@
 
 use super::scoring::Outcome;
 use crate::geometry::boxes::Aabb;
-use crate::render::{BoxStyle, LabelledBox, Orbit, ROOM_VIEW, jpeg, scene_picture};
-use crate::scene::PointCloud;
+use crate::render::{BoxStyle, LabelledBox, Orbit, ROOM_VIEW, Scenery, jpeg, scene_picture};
 
 /// Where pictures lie below the output folder.
 pub const FOLDER: &str = "pictures";
@@ -36,8 +35,8 @@ pub fn boxes(outcome: &Outcome) -> Vec<LabelledBox> {
 
 /// Draws a room; `None` for one without points and boxes.
 #[must_use]
-pub fn draw(cloud: &PointCloud, boxes: &[LabelledBox]) -> Option<Vec<u8>> {
+pub fn draw(scenery: &Scenery, boxes: &[LabelledBox]) -> Option<Vec<u8>> {
     let corners: Vec<_> = boxes.iter().flat_map(|b| b.aabb.corners()).collect();
-    let extent = Aabb::around(if cloud.is_empty() { &corners } else { &cloud.positions })?;
-    Some(jpeg(&scene_picture(cloud, &extent, &VIEW, boxes)))
+    let extent = Aabb::around(if scenery.cloud.is_empty() { &corners } else { &scenery.cloud.positions })?;
+    Some(jpeg(&scene_picture(scenery, &extent, &VIEW, boxes)))
 }

@@ -211,7 +211,7 @@ impl CellOfScene<'_> {
         let file = self.out.join(pictures::FOLDER).join(&name);
         if file.metadata().map_or(0, |m| m.len()) == 0 {
             let Ok(scene) = self.enter(cell, open) else { return Ok(None) };
-            let Some(jpeg) = pictures::draw(scene.cloud(), &drawn) else { return Ok(None) };
+            let Some(jpeg) = pictures::draw(scene.scenery(), &drawn) else { return Ok(None) };
             fs::write(&file, jpeg).with_context(|| file.to_string())?;
         }
         Ok(Some(name))

@@ -20,7 +20,7 @@ impl VoxelKey {
     }
 
     fn pack(cell: [i64; 3]) -> Self {
-        let [x, y, z] = cell.map(|c| (c.saturating_add(BIAS)).clamp(0, MASK as i64) as u64);
+        let [x, y, z] = cell.map(|c| c.saturating_add(BIAS).clamp(0, MASK as i64) as u64);
         Self(x << 42 | y << 21 | z)
     }
 

@@ -85,7 +85,7 @@ fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
 }
 
 /// How well a name that somebody gave fits the noun asked for: the same thing in other words fits fully, a broader word a little less.
-fn given_name_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
+pub(super) fn given_name_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
     let last = |words: &str| words.split_whitespace().next_back().map(str::to_owned);
     match (meaning, Lexicon::get().find(given)) {
         (Meaning::Nouns(asked), Some(own)) => match asked.iter().position(|noun| noun.name == own.name) {

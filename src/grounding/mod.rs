@@ -13,6 +13,7 @@ mod reasoner;
 pub mod relations;
 mod shortlist;
 pub mod solid;
+pub mod vlm;
 
 pub use answer::{Alternative, Grounding, ParsedQuerySummary, SixFields, Status, Timings};
 pub use appearance::{Appearance, QueryText, ShortlistScoring};
@@ -67,7 +68,45 @@ pub fn ground(scene: SceneView, question: &Question) -> Grounding {
 
 /// Answers a question that somebody has read, which took `reading`.
 #[must_use]
-pub fn ground_read(scene: SceneView, question: &Question, mut parsed: query::ParsedQuery, reading: Duration) -> Grounding {
+pub fn ground_read(scene: SceneView, question: &Question, parsed: query::ParsedQuery, reading: Duration) -> Grounding {
+    decided(scene, question, parsed, reading).1
+}
+
+/// Answers a question, and tells a vision-language model what it needs to decide it better. Its candidates are as many as were asked for:
+/// after those that fit follow things that stand where the question says, whatever they may be called.
+#[must_use]
+pub fn ground_and_brief(scene: SceneView, question: &Question, parsed: query::ParsedQuery, reading: Duration) -> (Grounding, vlm::Brief) {
+    let (decided, mut grounding) = decided(scene, question, parsed, reading);
+    let Decided { looked, parsed, beliefs } = decided;
+    let placed = looked
+        .assess(&query::Phrase { head: String::new(), uses: Vec::new(), ..parsed.target.clone() })
+        .total;
+    let known = |id| grounding.candidates.iter().any(|c| c.id == id);
+    let others: Vec<Candidate> = shortlist::rank(scene, &placed, scene.instances.len())
+        .into_iter()
+        .filter(|c| !known(c.id))
+        .collect();
+    let room = question.top_k.saturating_sub(grounding.candidates.len());
+    let first = grounding.candidates.len() as u32 + 1;
+    let others = others.into_iter().take(room).zip(first..).map(|(c, rank)| Candidate { rank, score: 0.0, ..c });
+    grounding.candidates.extend(others);
+    for candidate in &grounding.candidates {
+        let name = || answer::described(&scene.instances[candidate.id.0 as usize - 1]);
+        grounding.answer.candidate_names.entry(candidate.id.0).or_insert_with(name);
+    }
+    let brief = vlm::Brief::of(&looked, &parsed, &grounding, &beliefs);
+    (grounding, brief)
+}
+
+/// What led to a decision.
+struct Decided<'a> {
+    looked: Looked<'a>,
+    parsed: query::ParsedQuery,
+    /// By instance index.
+    beliefs: Vec<f32>,
+}
+
+fn decided<'a>(scene: SceneView<'a>, question: &Question, mut parsed: query::ParsedQuery, reading: Duration) -> (Decided<'a>, Grounding) {
     let start = Instant::now();
     if let Some(name) = &question.target_name {
         parsed.target.head.clone_from(name);
@@ -78,5 +117,7 @@ pub fn ground_read(scene: SceneView, question: &Question, mut parsed: query::Par
     let verdict = reasoner::builtin::decide(&mut looked, &parsed);
     let total = start.elapsed();
     let timings_ms = Timings::from_marks(reading, reading + prepared, reading + total);
-    answer::assemble(scene, question, &parsed, verdict, timings_ms)
+    let beliefs = verdict.beliefs.clone();
+    let grounding = answer::assemble(scene, question, &parsed, verdict, timings_ms);
+    (Decided { looked, parsed, beliefs }, grounding)
 }

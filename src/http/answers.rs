@@ -4,7 +4,7 @@ use super::App;
 use super::Binary;
 use super::extract::Path;
 use super::problem::Problem;
-use crate::service::Answer;
+use crate::service::{Answer, AnswerPrompt, AnswerReply};
 use axum::Json;
 use axum::extract::State;
 use axum::http::header;
@@ -24,9 +24,13 @@ pub async fn get(State(app): State<App>, Path(answer_id): Path<String>) -> Resul
     Ok(Json(app.service.answer(&answer_id).await?))
 }
 
-/// The room from above with the answer's box (green), its anchor (red) and the other candidates (blue).
+/// A picture that goes with an answer: `global.jpg`, and for answers of a model `candidate-7.jpg` or `names-1.jpg`, exactly as it was shown.
+///
+/// The room itself is always there: where no model was shown one, it is drawn from above with the answer's box (green), its anchor (red)
+/// and the other candidates (blue).
 #[utoipa::path(
-    get, path = "/v1/answers/{answer_id}/evidence/global.jpg", tag = "grounding", params(("answer_id" = String, Path)),
+    get, path = "/v1/answers/{answer_id}/evidence/{picture}", tag = "grounding",
+    params(("answer_id" = String, Path), ("picture" = String, Path, description = "`global.jpg`, or as the answer's `evidence` names it")),
     responses(
         (status = 200, body = Binary, content_type = "image/jpeg"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -34,6 +38,34 @@ pub async fn get(State(app): State<App>, Path(answer_id): Path<String>) -> Resul
     ),
     security(("key" = []), ())
 )]
-pub async fn picture(State(app): State<App>, Path(answer_id): Path<String>) -> Result<impl IntoResponse, Problem> {
-    Ok(([(header::CONTENT_TYPE, "image/jpeg")], app.service.answer_picture(&answer_id).await?))
+pub async fn picture(State(app): State<App>, Path((answer_id, picture)): Path<(String, String)>) -> Result<impl IntoResponse, Problem> {
+    Ok(([(header::CONTENT_TYPE, "image/jpeg")], app.service.answer_picture(&answer_id, &picture).await?))
+}
+
+/// What the model was asked for an answer: every message, in order. Kept for as long as the server's operator wants.
+#[utoipa::path(
+    get, path = "/v1/answers/{answer_id}/prompt", tag = "grounding", params(("answer_id" = String, Path)),
+    responses(
+        (status = 200, body = AnswerPrompt),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn prompt(State(app): State<App>, Path(answer_id): Path<String>) -> Result<Json<AnswerPrompt>, Problem> {
+    Ok(Json(app.service.answer_prompt(&answer_id).await?))
+}
+
+/// What the model said, word by word.
+#[utoipa::path(
+    get, path = "/v1/answers/{answer_id}/reply", tag = "grounding", params(("answer_id" = String, Path)),
+    responses(
+        (status = 200, body = AnswerReply),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn reply(State(app): State<App>, Path(answer_id): Path<String>) -> Result<Json<AnswerReply>, Problem> {
+    Ok(Json(app.service.answer_reply(&answer_id).await?))
 }

@@ -129,9 +129,12 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::ViewNotFound { .. }
         | Error::ReportPictureNotFound { .. }
         | Error::NoEmbeddings { .. }
-        | Error::AnswerNotFound { .. } => StatusCode::NOT_FOUND,
+        | Error::AnswerNotFound { .. }
+        | Error::NoTranscript { .. }
+        | Error::AnswerPictureNotFound { .. } => StatusCode::NOT_FOUND,
         Error::SceneNotReady { .. } | Error::EncoderChanged { .. } => StatusCode::CONFLICT,
-        Error::VlmUnavailable | Error::Model(_) => StatusCode::BAD_GATEWAY,
+        Error::VlmNotConfigured | Error::VlmFailed { .. } | Error::Model(_) => StatusCode::BAD_GATEWAY,
+        Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
         Error::Overloaded => StatusCode::TOO_MANY_REQUESTS,
         Error::UploadTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,

@@ -222,6 +222,25 @@ pub async fn parse(
     Ok((StatusCode::ACCEPTED, axum::Json(app.service.reparse(&scene_id, preset, settings).await?)))
 }
 
+/// Has the vision-language model name every object of the current parse, in the background.
+///
+/// Names do not depend on questions and are kept; what has one is not paid for again. Questions with `evidence: "cached_names"` use them.
+#[utoipa::path(
+    post, path = "/v1/scenes/{scene_id}/names", tag = "scenes", params(("scene_id" = String, Path)),
+    responses(
+        (status = 202, body = Job),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+        (status = 502, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn name(State(app): State<App>, Path(scene_id): Path<String>) -> Result<(StatusCode, axum::Json<Job>), Problem> {
+    Ok((StatusCode::ACCEPTED, axum::Json(app.service.start_naming(&scene_id).await?)))
+}
+
 /// The cloud in its own colours, PLY.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/cloud.ply", tag = "scenes", params(("scene_id" = String, Path)),

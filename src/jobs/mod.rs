@@ -19,7 +19,7 @@ use utoipa::ToSchema;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Job {
     pub id: String,
-    /// What it does: `parse`.
+    /// What it does: `parse`, `naming`.
     pub kind: String,
     pub state: JobState,
     /// Step it is in.

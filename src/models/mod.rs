@@ -4,3 +4,9 @@ pub mod attributes;
 pub mod chat;
 pub mod likeness;
 pub mod neural;
+
+/// An error with what caused it: the outermost alone seldom says it.
+pub(crate) fn with_causes(error: &dyn std::error::Error) -> String {
+    let causes = std::iter::successors(Some(error), |e| e.source());
+    causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")
+}

@@ -63,13 +63,19 @@ pub fn render<E: From<ParseError> + Send>(
     )
 }
 
-fn pictures(color: &RgbImage, instance: InstanceId, view: usize, seen: &View) -> [EvidencePicture; 2] {
+/// What a view shows of an instance, with a little around it.
+#[must_use]
+pub fn crop(color: &RgbImage, seen: &View) -> RgbImage {
     let [left, top, right, bottom] = seen.box_px;
     let margin = |length: u32| (length as f32 * CROP_MARGIN) as u32;
     let (mx, my) = (margin(right - left), margin(bottom - top));
     let (x, y) = (left.saturating_sub(mx), top.saturating_sub(my));
     let (x2, y2) = ((right + mx).min(color.width()), (bottom + my).min(color.height()));
-    let crop = imageops::crop_imm(color, x, y, (x2 - x).max(1), (y2 - y).max(1)).to_image();
+    imageops::crop_imm(color, x, y, (x2 - x).max(1), (y2 - y).max(1)).to_image()
+}
+
+fn pictures(color: &RgbImage, instance: InstanceId, view: usize, seen: &View) -> [EvidencePicture; 2] {
+    let crop = crop(color, seen);
     let mut boxed = color.clone();
     draw_box(&mut boxed, seen.box_px);
     let picture = |picture, image: &RgbImage| EvidencePicture { instance, view, picture, jpeg: jpeg(image) };

@@ -3,7 +3,7 @@
 
 use super::ParseError;
 use crate::progress::Progress;
-use crate::render::{ROOM_VIEW, frame_overlay, jpeg, scene_picture};
+use crate::render::{ROOM_VIEW, Scenery, frame_overlay, jpeg, scene_picture};
 use crate::scene::{FrameRef, InstanceId, ParsedScene, PointCloud, id_colour};
 use rayon::prelude::*;
 
@@ -25,8 +25,8 @@ const STRUCTURE_GREY: [u8; 3] = [200, 200, 200];
 /// # Errors
 /// [`ParseError`] for unreadable frames and cancellation.
 pub fn render(scene: &ParsedScene, frames: &[FrameRef], progress: &Progress) -> Result<Vec<ReportPicture>, ParseError> {
-    let by_superpoint = recoloured(scene, |i| id_colour(scene.superpoint_of_point[i]));
-    let by_instance = recoloured(scene, |i| instance_colour(scene, scene.instance_of_point[i]));
+    let by_superpoint = Scenery::of(recoloured(scene, |i| id_colour(scene.superpoint_of_point[i])));
+    let by_instance = Scenery::of(recoloured(scene, |i| instance_colour(scene, scene.instance_of_point[i])));
     let count = FRAMES.min(frames.len());
     let shown = (0..count).map(|k| &frames[frames.len() * (2 * k + 1) / (2 * count)]);
     let structural = scene.report.structural;
@@ -59,7 +59,7 @@ pub fn render(scene: &ParsedScene, frames: &[FrameRef], progress: &Progress) -> 
 }
 
 enum Subject<'a> {
-    Cloud(&'a PointCloud),
+    Cloud(&'a Scenery),
     Frame(&'a FrameRef),
 }
 

@@ -1,18 +1,21 @@
 //! Questions to answers, kept.
 
-use super::Service;
 use super::cache::LoadedParse;
 use super::looking::{Asked, Seen, appearance, read_embeddings};
 use super::parse_settings::ParseModels;
 use super::questions::{GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest, check_query, check_top_k};
+use super::reviewing::{Case, Review};
+use super::vlm::Vlm;
+use super::{Service, transcripts};
 use crate::error::Error;
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::grounding::query::{BuiltinParser, ParsedQuery, QueryParser, Reading, VlmParser};
+use crate::grounding::vlm::{Options, Outcome};
 use crate::grounding::{
     self, Alternative, Candidate, Grounding, ParsedQuerySummary, Question, SceneView, ShortlistScoring, SixFields, Status, Timings,
 };
 use crate::models::attributes;
-use crate::models::chat::ChatReply;
+use crate::models::chat::{CallRecord, Purse};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -45,11 +48,29 @@ pub struct CoordinateFrame {
 /// One call of a vision-language model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Call {
+    /// `parse`, `naming`, `spatial`, or what was wrong before: `out_of_set`, `unreadable`, `inconsistent`.
     pub purpose: String,
     pub attempts: u32,
     pub latency_ms: f64,
     pub prompt_tokens: u64,
     pub completion_tokens: u64,
+    /// Why there was no reply.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<String>,
+}
+
+impl Call {
+    fn of(record: &CallRecord) -> Self {
+        let (reply, error) = (record.outcome.as_ref().ok(), record.outcome.as_ref().err().cloned());
+        Self {
+            purpose: record.purpose.to_owned(),
+            attempts: record.attempts,
+            latency_ms: record.latency_ms,
+            prompt_tokens: reply.map_or(0, |reply| reply.prompt_tokens),
+            completion_tokens: reply.map_or(0, |reply| reply.completion_tokens),
+            error,
+        }
+    }
 }
 
 /// What happened on the way; empty when everything was done by built-in parts.
@@ -68,15 +89,15 @@ pub struct Usage {
 }
 
 impl Usage {
-    /// What reading a question took.
+    /// What calls took. Those that got no answer cost nothing that is known.
     #[must_use]
-    pub fn of(reading: &Reading) -> Self {
-        let calls = &reading.calls;
+    pub fn of(calls: &[CallRecord]) -> Self {
+        let replies = || calls.iter().filter_map(|call| call.outcome.as_ref().ok());
         Self {
-            vlm_calls: calls.len() as u32,
-            prompt_tokens: calls.iter().map(|c| c.prompt_tokens).sum(),
-            completion_tokens: calls.iter().map(|c| c.completion_tokens).sum(),
-            cost_usd: reading.cost_usd,
+            vlm_calls: replies().count() as u32,
+            prompt_tokens: replies().map(|reply| reply.prompt_tokens).sum(),
+            completion_tokens: replies().map(|reply| reply.completion_tokens).sum(),
+            cost_usd: calls.iter().map(|call| call.cost_usd).sum(),
         }
     }
 }
@@ -101,7 +122,7 @@ pub struct Answer {
     pub alternatives: Vec<Alternative>,
     pub parsed_query: ParsedQuerySummary,
     pub models: Models,
-    /// A built-in part took the place of a model that could not be used; `trace.corrections` says why.
+    /// A built-in part took the place of a model that could not be used, or that never chose a candidate; `trace.corrections` says why.
     #[serde(default)]
     pub degraded: bool,
     pub direction_convention: String,
@@ -126,6 +147,22 @@ pub struct Shortlisted {
     pub cut: bool,
 }
 
+/// A question, decided.
+struct Decided {
+    grounding: Grounding,
+    seen: Seen,
+    reading: Reading,
+    review: Option<Reviewed>,
+}
+
+/// What a model's review left.
+struct Reviewed {
+    corrections: Vec<String>,
+    degraded: bool,
+    reasoner: String,
+    records: Vec<CallRecord>,
+}
+
 /// Name and version, recorded with answers.
 pub const BUILTIN_REASONER: &str = "builtin-2";
 /// How long a question waits for its turn before the server calls itself overloaded.
@@ -135,51 +172,56 @@ impl Service {
     /// Grounds one question in a parsed scene and keeps the answer.
     ///
     /// # Errors
-    /// [`Error`]: unknown or unparsed scene, a question that is none, no model where one was demanded, overload, time-out.
+    /// [`Error`]: unknown or unparsed scene, a question that is none, no model or no money where a model was demanded, overload, time-out.
     pub async fn ground(&self, scene_id: &str, request: GroundRequest) -> Result<Answer, Error> {
         request.check()?;
         let (scene, parse_id) = self.ready_scene(scene_id).await?;
-        if request.reasoner == ReasonerChoice::Vlm {
-            return Err(Error::VlmUnavailable);
-        }
-        let parse = self.loaded_parse(&parse_id).await?;
-        let question = Question {
-            query: request.query.clone(),
-            top_k: request.top_k as usize,
-            convention: request.direction_convention,
-            observer: request.observer,
-            target_name: None,
+        let (reviewer, parse) = (self.reviewer(&request)?, self.loaded_parse(&parse_id).await?);
+        let purses = match &self.vlm {
+            Some(vlm) => vlm.purses(&self.store, request.max_cost_usd).await?,
+            None => Vec::new(),
         };
-        let parser = self.parser(request.parser)?;
+        let parser = self.parser(request.parser, &purses)?;
         let models =
             Models { masks: parse.masks.clone(), encoder: parse.encoder.clone(), parser: parser.name(), reasoner: BUILTIN_REASONER.into() };
-        let asked = Asked { query: request.query.clone(), scoring: ShortlistScoring::default(), allow_builtin: request.allow_builtin };
-        let unpaid = request.max_cost_usd == Some(0.0);
-        let work = async {
-            let start = Instant::now();
-            let reading = match unpaid {
-                true => BuiltinParser.read(&request.query).await,
-                false => parser.read(&request.query).await,
-            };
-            let (parsed, took) = (reading.parsed.clone(), start.elapsed());
-            let decide = move |scene: SceneView, parsed| grounding::ground_read(scene, &question, parsed, took);
-            let (grounding, seen) = self.computed(parse, asked, parsed, decide).await?;
-            Ok::<_, Error>((grounding, seen, reading))
-        };
-        let (grounding, seen, reading) = match request.timeout_s {
+        let work = self.decided(&request, &parse_id, parse.clone(), parser.as_ref(), reviewer.as_deref(), purses);
+        let Decided { grounding, seen, reading, review } = match request.timeout_s {
             Some(seconds) => timeout(Duration::from_secs_f32(seconds), work)
                 .await
                 .map_err(|_| Error::QuestionTimedOut { seconds })??,
             None => work.await?,
         };
         let mut answer = dress(grounding, scene.id, u32::try_from(scene.parse_version).unwrap_or(0), models);
-        account(&mut answer, reading);
+        let mut records = reading.calls;
+        let trace = answer.trace.get_or_insert_default();
+        trace
+            .corrections
+            .extend(reading.fell_back.map(|why| format!("the built-in parser read the question: {why}")));
+        if let Some(Reviewed { corrections, degraded, reasoner, records: of_review }) = review {
+            trace.corrections.extend(corrections);
+            answer.degraded = degraded;
+            answer.models.reasoner = reasoner;
+            records.extend(of_review);
+        }
+        trace.calls = records.iter().map(Call::of).collect();
+        answer.usage = Usage::of(&records);
         seen.note(&mut answer);
+        if self.limits.keep_evidence_days > 0 {
+            let shown = transcripts::pictures(&records);
+            let others = shown
+                .into_iter()
+                .filter(|name| *name != "global")
+                .map(|name| transcripts::picture_path(&answer.id, name));
+            answer.evidence.get_or_insert_default().extend(others);
+        }
+        let model = self.vlm.as_ref().map_or("", |vlm| vlm.client.model());
+        self.keep_transcript(&answer, model, records).await?;
         if !self
             .store
             .insert_answer(&answer.id, &answer.scene_id, &parse_id, &serde_json::to_string(&answer)?)
             .await?
         {
+            self.store.blobs.remove(&self.store.blobs.answer(&answer.id))?;
             return Err(Error::SceneNotFound { id: answer.scene_id });
         }
         if let Some(include) = request.include {
@@ -191,11 +233,71 @@ impl Service {
         Ok(answer)
     }
 
-    fn parser(&self, choice: ParserChoice) -> Result<Arc<dyn QueryParser>, Error> {
+    /// Reads a question, decides it by geometry, and lets the model review that, where one does.
+    async fn decided(
+        &self,
+        request: &GroundRequest,
+        parse_id: &str,
+        parse: Arc<LoadedParse>,
+        parser: &dyn QueryParser,
+        reviewer: Option<&Vlm>,
+        purses: Vec<Purse>,
+    ) -> Result<Decided, Error> {
+        let start = Instant::now();
+        let reading = match request.max_cost_usd == Some(0.0) {
+            true => BuiltinParser.read(&request.query).await,
+            false => parser.read(&request.query).await,
+        };
+        if let Some(vlm) = self.vlm.as_ref().filter(|_| !reading.calls.is_empty()) {
+            vlm.note_spending(&self.store).await?;
+        }
+        let (parsed, took) = (reading.parsed.clone(), start.elapsed());
+        let question = Question {
+            query: request.query.clone(),
+            top_k: request.top_k as usize,
+            convention: request.direction_convention,
+            observer: request.observer,
+            target_name: None,
+        };
+        let asked = Asked { query: request.query.clone(), scoring: ShortlistScoring::default(), allow_builtin: request.allow_builtin };
+        let Some(vlm) = reviewer else {
+            let decide = move |scene: SceneView, parsed| grounding::ground_read(scene, &question, parsed, took);
+            let (grounding, seen) = self.computed(parse, asked, parsed, decide).await?;
+            return Ok(Decided { grounding, seen, reading, review: None });
+        };
+        let decide = move |scene: SceneView, parsed| grounding::ground_and_brief(scene, &question, parsed, took);
+        let ((mut grounding, brief), seen) = self.computed(parse.clone(), asked, parsed, decide).await?;
+        if brief.candidates.is_empty() {
+            return Ok(Decided { grounding, seen, reading, review: None });
+        }
+        let options = Options { ablation: request.ablation, evidence: request.evidence, json: vlm.json() };
+        let before = start.elapsed().as_secs_f64() * 1e3;
+        let case = Case { parse_id, parse: parse.clone(), brief: brief.clone(), options };
+        let Review { decision, records, evidence_ms } = self.review(vlm, case, purses).await?;
+        let (corrections, degraded, reasoner) = match decision {
+            Ok(decision) => {
+                decision.apply(&mut grounding, &brief, &parse.instances);
+                // Where the geometry had to choose, the model did not.
+                let degraded = matches!(decision.outcome, Outcome::Projected(_));
+                (decision.corrections, degraded, Self::reasoner_name(vlm))
+            }
+            Err(error) if request.reasoner == ReasonerChoice::Vlm => return Err(error.into()),
+            Err(error) => (vec![format!("the built-in reasoner answered: {error}")], true, BUILTIN_REASONER.to_owned()),
+        };
+        let total = start.elapsed().as_secs_f64() * 1e3;
+        let timings = &mut grounding.timings_ms;
+        timings.evidence = evidence_ms;
+        timings.reason += (total - before - evidence_ms).max(0.0);
+        timings.total = total;
+        let review = Some(Reviewed { corrections, degraded, reasoner, records });
+        Ok(Decided { grounding, seen, reading, review })
+    }
+
+    fn parser(&self, choice: ParserChoice, purses: &[Purse]) -> Result<Box<dyn QueryParser>, Error> {
         match (choice, &self.vlm) {
-            (ParserChoice::Builtin, _) => Ok(Arc::new(BuiltinParser)),
-            (ParserChoice::Vlm, Some(client)) => Ok(Arc::new(VlmParser { client: client.clone() })),
-            (ParserChoice::Vlm, None) => Err(Error::VlmUnavailable),
+            (ParserChoice::Builtin, _) => Ok(Box::new(BuiltinParser)),
+            (ParserChoice::Vlm, Some(vlm)) => Ok(Box::new(VlmParser { client: vlm.client.clone(), purses: purses.to_vec() })),
+            (ParserChoice::Vlm, None) => Err(Error::VlmNotConfigured),
         }
     }
 
@@ -256,7 +358,7 @@ impl Service {
     }
 
     pub(super) async fn loaded_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
-        if let Some(parse) = self.cache.get(parse_id) {
+        if let Some(parse) = self.caches.parses.get(parse_id) {
             return Ok(parse);
         }
         let gone = || Error::SceneNotFound { id: parse_id.into() };
@@ -270,27 +372,9 @@ impl Service {
             masks,
             encoder,
         });
-        self.cache.put(parse_id, parse.clone());
+        self.caches.parses.put(parse_id.to_owned(), parse.clone(), 1);
         Ok(parse)
     }
-}
-
-/// Notes the calls that reading the question took.
-fn account(answer: &mut Answer, reading: Reading) {
-    answer.usage = Usage::of(&reading);
-    let Reading { parsed: _, calls, cost_usd: _, fell_back } = reading;
-    let calls: Vec<Call> = calls
-        .into_iter()
-        .map(|ChatReply { text: _, prompt_tokens, completion_tokens, attempts, latency_ms }| Call {
-            purpose: "parse".into(),
-            attempts,
-            latency_ms,
-            prompt_tokens,
-            completion_tokens,
-        })
-        .collect();
-    let corrections = fell_back.map(|why| format!("the built-in parser read the question: {why}"));
-    answer.trace = Some(Trace { calls, corrections: corrections.into_iter().collect() });
 }
 
 fn dress(grounding: Grounding, scene_id: String, parse_version: u32, models: Models) -> Answer {

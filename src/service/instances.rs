@@ -35,6 +35,9 @@ pub struct InstanceView {
     pub support: Support,
     pub height_above_floor_m: f32,
     pub names: Vec<NameGuess>,
+    /// What the configured vision-language model calls it, without having heard a question; `null` until it was asked.
+    #[serde(default)]
+    pub model_name: Option<String>,
     /// Frames that show it best; pictures at `/instances/{id}/views/{k}.jpg`, k from 0.
     pub views: Vec<View>,
 }
@@ -92,6 +95,7 @@ impl From<Instance> for InstanceView {
             support,
             height_above_floor_m,
             names,
+            model_name: None,
             views,
         }
     }
@@ -104,15 +108,10 @@ impl Service {
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
     pub async fn instances(&self, scene_id: &str, limit: u32, cursor: u32) -> Result<InstanceList, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let parse = self.loaded_parse(&parse_id).await?;
-        let mut page: Vec<InstanceView> = parse
-            .instances
-            .iter()
-            .filter(|i| i.id.0 > cursor)
-            .take(limit as usize + 1)
-            .cloned()
-            .map(InstanceView::from)
-            .collect();
+        let (parse, mut names) = (self.loaded_parse(&parse_id).await?, self.names_of(&parse_id).await?);
+        let page = parse.instances.iter().filter(|i| i.id.0 > cursor).take(limit as usize + 1).cloned();
+        let named = |instance: Instance| InstanceView { model_name: names.remove(&instance.id.0), ..instance.into() };
+        let mut page: Vec<InstanceView> = page.map(named).collect();
         let more = page.len() > limit as usize;
         page.truncate(limit as usize);
         Ok(InstanceList { next_cursor: page.last().filter(|_| more).map(|i| i.id.0), instances: page })
@@ -121,7 +120,9 @@ impl Service {
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
     pub async fn instance(&self, scene_id: &str, id: InstanceId) -> Result<InstanceView, Error> {
-        Ok(self.stored_instance(scene_id, id).await?.1.into())
+        let (parse_id, instance) = self.stored_instance(scene_id, id).await?;
+        let model_name = self.names_of(&parse_id).await?.remove(&id.0);
+        Ok(InstanceView { model_name, ..instance.into() })
     }
 
     /// Path of an evidence picture.

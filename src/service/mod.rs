@@ -2,33 +2,41 @@
 
 mod answering;
 mod cache;
+mod evidence;
 mod instances;
 mod looking;
+mod naming;
 mod parse_settings;
 mod parsing;
 mod pictures;
 mod questions;
 mod report_files;
 mod reports;
+mod reviewing;
 mod scenes;
+mod transcripts;
 mod uploads;
+mod vlm;
 
 pub use answering::{Answer, BUILTIN_REASONER, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
 pub use instances::{InstanceList, InstanceView, ViewPicture};
+pub use naming::NAMING_JOB;
 pub use parse_settings::{ModelChoice, ParseModels, ParsePreset, ParseSettings, PartChoice};
 pub use parsing::{PARSE_JOB, ParsedScan, parse_scan};
-pub use questions::{Ablation, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
+pub use questions::{GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
 pub use reports::{ReportPictureLink, SceneReport};
 pub use scenes::{Scene, SceneCounts, SceneList, SceneStatus};
+pub use transcripts::{AnswerPrompt, AnswerReply, PromptCall, PromptPart, ReplyCall};
 pub use uploads::NewScene;
+pub use vlm::{Vlm, VlmSettings};
 
+pub use crate::grounding::vlm::{Ablation, EvidenceMode};
 use crate::ingest::archive::UnpackLimits;
 use crate::jobs::Jobs;
-use crate::models::chat::ChatClient;
 pub use crate::models::neural::LoadedModel;
 use crate::models::neural::Models as NeuralModels;
 use crate::store::Store;
-use cache::ParseCache;
+use cache::Caches;
 use std::sync::Arc;
 use tokio::sync::{Mutex, Semaphore};
 
@@ -39,6 +47,8 @@ pub struct Limits {
     pub unpack: UnpackLimits,
     /// Questions being answered at once; more wait their turn, shortly.
     pub max_concurrent_questions: usize,
+    /// Days for which prompts, replies and pictures of answers are kept; 0: none are.
+    pub keep_evidence_days: u32,
 }
 
 /// The use cases over one store. Cheap to clone.
@@ -47,10 +57,10 @@ pub struct Service {
     store: Store,
     pub jobs: Jobs,
     limits: Limits,
-    cache: Arc<ParseCache>,
+    caches: Arc<Caches>,
     questions: Arc<Semaphore>,
-    /// A chat model, where one is configured.
-    vlm: Option<Arc<ChatClient>>,
+    /// A vision-language model, where one is configured.
+    vlm: Option<Arc<Vlm>>,
     models: NeuralModels,
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
     content_references: Arc<Mutex<()>>,
@@ -58,9 +68,9 @@ pub struct Service {
 
 impl Service {
     #[must_use]
-    pub fn new(store: Store, jobs: Jobs, limits: Limits, vlm: Option<Arc<ChatClient>>, models: NeuralModels) -> Self {
+    pub fn new(store: Store, jobs: Jobs, limits: Limits, vlm: Option<Vlm>, models: NeuralModels) -> Self {
         let questions = Arc::new(Semaphore::new(limits.max_concurrent_questions));
-        Self { store, jobs, limits, cache: Arc::default(), questions, vlm, models, content_references: Arc::default() }
+        Self { store, jobs, limits, caches: Arc::default(), questions, vlm: vlm.map(Arc::new), models, content_references: Arc::default() }
     }
 
     /// The neural models this server was started with.

@@ -1,22 +1,37 @@
-//! The picture that goes with an answer: the room from above with the answer's box.
+//! The pictures that go with an answer.
 
 use super::{Answer, Service};
 use crate::error::Error;
 use crate::ingest;
-use crate::render::{BoxStyle, LabelledBox, ROOM_VIEW, jpeg, scene_picture};
+use crate::render::{BoxStyle, LabelledBox, ROOM_VIEW, Scenery, jpeg, scene_picture};
 use crate::scene::InstanceId;
 use std::collections::BTreeMap;
 use tokio::task::spawn_blocking;
 
+/// The picture every answer has.
+const GLOBAL: &str = "global.jpg";
 /// More candidates than this only hide the room.
 const MAX_CANDIDATES: usize = 5;
 
 impl Service {
-    /// Renders an answer's picture: its box, its anchor and the other candidates over the cloud. JPEG.
+    /// A picture of an answer by its name: as a model was shown it, where that is kept; the room is drawn otherwise. JPEG.
     ///
     /// # Errors
-    /// [`Error::AnswerNotFound`], or the stored cloud can not be read.
-    pub async fn answer_picture(&self, id: &str) -> Result<Vec<u8>, Error> {
+    /// [`Error::AnswerNotFound`], [`Error::AnswerPictureNotFound`].
+    pub async fn answer_picture(&self, id: &str, name: &str) -> Result<Vec<u8>, Error> {
+        let stem = name
+            .strip_suffix(".jpg")
+            .filter(|stem| stem.bytes().all(|b| b.is_ascii_alphanumeric() || b == b'-'));
+        let not_found = || Error::AnswerPictureNotFound { id: id.into(), name: name.into() };
+        match self.kept_file(id, &format!("{}.jpg", stem.ok_or_else(not_found)?)).await {
+            Err(Error::NoTranscript { .. }) if name == GLOBAL => self.drawn_picture(id).await,
+            Err(Error::NoTranscript { .. }) => Err(not_found()),
+            read => read,
+        }
+    }
+
+    /// The room from above: the answer's box, its anchor and the other candidates over the cloud.
+    async fn drawn_picture(&self, id: &str) -> Result<Vec<u8>, Error> {
         let row = self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
         let answer: Answer = serde_json::from_str(&row.body)?;
         let parse = self.loaded_parse(&row.parse_id).await?;
@@ -42,7 +57,7 @@ impl Service {
             if let Some(chosen) = answer.answer.predicted_id {
                 mark(chosen, 2, BoxStyle::Answer);
             }
-            let picture = scene_picture(&cloud, &parse.extent, &ROOM_VIEW, &boxes.into_values().collect::<Vec<_>>());
+            let picture = scene_picture(&Scenery::of(cloud), &parse.extent, &ROOM_VIEW, &boxes.into_values().collect::<Vec<_>>());
             Ok(jpeg(&picture))
         })
         .await?

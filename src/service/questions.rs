@@ -3,6 +3,7 @@
 use crate::error::Error;
 use crate::grounding::QueryText;
 use crate::grounding::direction::{DirectionConvention, Observer};
+use crate::grounding::vlm::{Ablation, EvidenceMode};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
@@ -32,17 +33,6 @@ pub enum ParserChoice {
     Vlm,
 }
 
-/// Parts of the paper's prompt left out; only a vision-language model has a prompt.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum Ablation {
-    #[default]
-    Full,
-    NoGlobal,
-    NoCandidate,
-    SimplePrompt,
-}
-
 /// Parts of an answer that can be left out of the reply.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -70,6 +60,8 @@ pub struct GroundRequest {
     #[serde(default)]
     pub ablation: Ablation,
     #[serde(default)]
+    pub evidence: EvidenceMode,
+    #[serde(default)]
     pub direction_convention: DirectionConvention,
     /// Left, right, front and back as seen by this observer.
     pub observer: Option<Observer>,
@@ -78,7 +70,7 @@ pub struct GroundRequest {
     pub allow_builtin: bool,
     /// Optional parts to send back; all when left out.
     pub include: Option<Vec<Include>>,
-    /// Most this question may cost; the built-in reasoner costs nothing.
+    /// Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model is asked.
     #[schema(minimum = 0)]
     pub max_cost_usd: Option<f64>,
     /// Give up after this many seconds.
@@ -129,6 +121,7 @@ impl GroundRequest {
             parser: ParserChoice::default(),
             reasoner: ReasonerChoice::default(),
             ablation: Ablation::default(),
+            evidence: EvidenceMode::default(),
             direction_convention: DirectionConvention::default(),
             observer: None,
             allow_builtin: false,

@@ -4,6 +4,7 @@
 //! blobs/contents/<sha256>/...     an unpacked archive
 //! blobs/parses/<id>/cloud.ply  instances.ply  views/<instance>-<view>-{crop,frame}.jpg
 //! blobs/checkpoints/<sha256>/...  finished stages of parses of that content
+//! blobs/answers/<id>/calls.json  *.jpg   what a model was shown and said for an answer
 //! tmp/                            uploads and folders being written; emptied at start
 //! ```
 //! A folder is written under `tmp/` and moved into place as a whole, so a blob that can be seen is complete.
@@ -12,6 +13,7 @@ use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::HashSet;
 use std::fs;
 use std::io;
+use std::time::{Duration, SystemTime};
 use uuid::Uuid;
 
 #[derive(Debug, Clone)]
@@ -50,7 +52,13 @@ impl Blobs {
         if blobs.tmp.exists() {
             fs::remove_dir_all(&blobs.tmp)?;
         }
-        for folder in [&blobs.tmp, &blobs.root.join("contents"), &blobs.root.join("parses"), &blobs.root.join("checkpoints")] {
+        for folder in [
+            &blobs.tmp,
+            &blobs.root.join("contents"),
+            &blobs.root.join("parses"),
+            &blobs.root.join("checkpoints"),
+            &blobs.root.join("answers"),
+        ] {
             fs::create_dir_all(folder)?;
         }
         Ok(blobs)
@@ -70,6 +78,29 @@ impl Blobs {
     #[must_use]
     pub fn parse(&self, id: &str) -> Utf8PathBuf {
         self.root.join("parses").join(id)
+    }
+
+    /// What a model was shown and said for an answer.
+    #[must_use]
+    pub fn answer(&self, id: &str) -> Utf8PathBuf {
+        self.root.join("answers").join(id)
+    }
+
+    /// Removes what was kept for answers whose folder is older.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn forget_answers(&self, older_than: Duration, now: SystemTime) -> io::Result<usize> {
+        let mut forgotten = 0;
+        for entry in self.root.join("answers").read_dir_utf8()? {
+            let entry = entry?;
+            let age = now.duration_since(entry.metadata()?.modified()?).unwrap_or_default();
+            if age > older_than {
+                self.remove(entry.path())?;
+                forgotten += 1;
+            }
+        }
+        Ok(forgotten)
     }
 
     /// Folder for files being received, on the same file system as the blobs.
@@ -118,8 +149,8 @@ impl Blobs {
         self.scratch().map(drop)
     }
 
-    pub(super) fn keep_only(&self, contents: &[String], parses: &[String]) -> io::Result<()> {
-        for (folder, known) in [("contents", contents), ("checkpoints", contents), ("parses", parses)] {
+    pub(super) fn keep_only(&self, contents: &[String], parses: &[String], answers: &[String]) -> io::Result<()> {
+        for (folder, known) in [("contents", contents), ("checkpoints", contents), ("parses", parses), ("answers", answers)] {
             let known: HashSet<&str> = known.iter().map(String::as_str).collect();
             for entry in self.root.join(folder).read_dir_utf8()? {
                 let entry = entry?;

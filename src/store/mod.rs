@@ -9,6 +9,7 @@ mod contents;
 mod jobs;
 mod parses;
 mod scenes;
+mod vlm;
 
 pub use answers::AnswerRow;
 pub use blobs::{Blobs, Scratch};
@@ -100,7 +101,8 @@ impl Store {
         }
         let contents: Vec<String> = sqlx::query_scalar("SELECT hash FROM contents").fetch_all(&self.reader).await?;
         let parses: Vec<String> = sqlx::query_scalar("SELECT id FROM parses").fetch_all(&self.reader).await?;
-        Ok(self.blobs.keep_only(&contents, &parses)?)
+        let answers: Vec<String> = sqlx::query_scalar("SELECT id FROM answers").fetch_all(&self.reader).await?;
+        Ok(self.blobs.keep_only(&contents, &parses, &answers)?)
     }
 }
 

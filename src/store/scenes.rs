@@ -110,6 +110,7 @@ impl Store {
     /// [`StoreError`].
     pub async fn delete_scene(&self, id: &str) -> Result<bool, StoreError> {
         let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
+        let answers: Vec<String> = sqlx::query_scalar("SELECT id FROM answers WHERE scene_id = ?").bind(id).fetch_all(&mut *tx).await?;
         let content: Option<String> = sqlx::query_scalar("DELETE FROM scenes WHERE id = ? RETURNING content_hash")
             .bind(id)
             .fetch_optional(&mut *tx)
@@ -128,6 +129,7 @@ impl Store {
             sqlx::query("DELETE FROM contents WHERE hash = ?").bind(&content).execute(&mut *tx).await?;
         }
         tx.commit().await?;
+        answers.iter().try_for_each(|answer| self.blobs.remove(&self.blobs.answer(answer)))?;
         if shared == 0 {
             self.blobs.remove(&self.blobs.content(&content))?;
             self.blobs.remove(&self.blobs.checkpoints(&content))?;

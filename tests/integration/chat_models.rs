@@ -65,7 +65,11 @@ fn quick() -> Patience {
 
 fn client(base_url: String, tape: Tape) -> ChatClient {
     let prices = Prices { prompt_usd: 2.0, completion_usd: 8.0 };
-    ChatClient::new(Endpoint { base_url, model: "scripted".into(), api_key: Some("sk-secret-key".into()), prices }, quick(), tape)
+    ChatClient::new(
+        Endpoint { base_url, model: "scripted".into(), api_key: Some("sk-secret-key".into()), prices, concurrency: 4 },
+        quick(),
+        tape,
+    )
 }
 
 fn question(text: &str) -> ChatRequest {
@@ -86,7 +90,7 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
     let url = script.serve(vec![busy()]).await;
     let error = client(url, Tape::None).ask(&question("a")).await.unwrap_err();
     assert!(
-        matches!(&error, ChatError::Refused { status, detail } if status.as_u16() == 429 && detail == "slow down"),
+        matches!(&error.error, ChatError::Refused { status, detail } if status.as_u16() == 429 && detail == "slow down"),
         "{error:?}"
     );
     assert_eq!(script.calls(), 5);

@@ -1,6 +1,7 @@
 //! The pipelines themselves, without a server or a store.
 
-use super::oracle::{Names, give_name, instances_of, see};
+use super::asker::{Album, Asker, Room};
+use super::oracle::{Names, give_name, instances_of, see, view};
 use super::{OpenScene, System};
 use crate::config::{BundlesConfig, ModelsConfig};
 use crate::evaluation::annotations::Annotations;
@@ -10,23 +11,23 @@ use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
 use crate::evaluation::sealed::OracleRun;
 use crate::evaluation::suite::{Expression, Hints, SuiteScene};
 use crate::geometry::boxes::Aabb;
-use crate::grounding::query::{self, BuiltinParser, QueryParser, VlmParser};
+use crate::grounding::query::{self, BuiltinParser, QueryParser};
 use crate::grounding::{self, Appearance, Question, SceneView, ShortlistScoring};
 use crate::ingest::{self, Unpacked};
 use crate::models::attributes;
 use crate::models::chat::ChatClient;
 use crate::models::neural::{DualEncoder, Models as NeuralModels, Role};
 use crate::progress::Progress;
+use crate::render::Scenery;
 use crate::scene::{Embeddings, Instance, InstanceId, ParsedScene, PointCloud};
 use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::service::{self, Models, ParseSettings, ParsedScan, ParserChoice, ReasonerChoice, Usage, parse_scan};
-use anyhow::{Context, bail, ensure};
+use anyhow::{Context, ensure};
 use camino::Utf8Path;
 use std::collections::HashMap;
 use std::fs;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
-use tokio::runtime::Runtime;
 
 /// The system of this executable.
 pub struct InProcess {
@@ -37,29 +38,26 @@ pub struct InProcess {
     loaded: Mutex<HashMap<(String, String), NeuralModels>>,
 }
 
-/// A chat model, and the runtime to speak with it from threads that know of none.
-struct Asker {
-    parser: VlmParser,
-    runtime: Runtime,
-}
-
 struct LocalScene {
     instances: Vec<Instance>,
     boxes: Vec<Aabb>,
     extent: Aabb,
-    cloud: PointCloud,
+    scenery: Scenery,
     models: Models,
     /// Where an encoder has seen the scene.
     seen: Option<(Arc<DualEncoder>, Embeddings)>,
-    vlm: Option<Arc<Asker>>,
+    album: Album,
+    parser: Option<Arc<Asker>>,
+    /// Who decides, unless the built-in reasoner does.
+    reviewer: Option<Arc<Asker>>,
 }
 
 impl InProcess {
-    /// `tape` is where the model's answers are recorded, if they are.
+    /// `tape` is where the model's answers are recorded, if they are; `max_usd` is what the whole run may cost.
     ///
     /// # Errors
     /// When the executable can not be read: what it would answer is known by its bytes.
-    pub fn new(bundles: BundlesConfig, vlm: Option<ChatClient>, tape: Option<&Utf8Path>) -> anyhow::Result<Self> {
+    pub fn new(bundles: BundlesConfig, vlm: Option<ChatClient>, tape: Option<&Utf8Path>, max_usd: Option<f64>) -> anyhow::Result<Self> {
         let executable = std::env::current_exe()?;
         let bytes = fs::read(&executable).with_context(|| executable.display().to_string())?;
         let program = digest::of(&bytes);
@@ -70,13 +68,7 @@ impl InProcess {
             vlm.as_ref().map_or("", |client| client.model()),
             tape.map_or("", Utf8Path::as_str)
         );
-        let vlm = match vlm {
-            Some(client) => {
-                let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
-                Some(Arc::new(Asker { parser: VlmParser { client: Arc::new(client) }, runtime }))
-            }
-            None => None,
-        };
+        let vlm = vlm.map(|client| Asker::new(client, max_usd)).transpose()?.map(Arc::new);
         Ok(Self { fingerprint, vlm, bundles, loaded: Mutex::default() })
     }
 
@@ -104,11 +96,11 @@ impl System for InProcess {
     }
 
     fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()> {
-        ensure!(configuration.reasoner != ReasonerChoice::Vlm, "reasoner=vlm: this version reasons with built-in parts only");
-        ensure!(
-            configuration.parser != ParserChoice::Vlm || self.vlm.is_some(),
-            "parser=vlm: no vision-language model is configured"
-        );
+        for (axis, wanted) in
+            [("parser=vlm", configuration.parser == ParserChoice::Vlm), ("reasoner=vlm", configuration.reasoner == ReasonerChoice::Vlm)]
+        {
+            ensure!(!wanted || self.vlm.is_some(), "{axis}: no vision-language model is configured");
+        }
         // Before anything runs: whether the models are there and whole.
         self.models(configuration).map(drop)
     }
@@ -122,22 +114,23 @@ impl System for InProcess {
         let missing = |what: &str| format!("the scene {} has no {what}", scene.id);
         let models = self.models(configuration)?;
         let settings = ParseSettings::from_request(configuration.preset, None)?;
-        let known = |annotations: &Annotations, names| boxed(annotations, scene, names, &models, &settings);
-        let Entered { instances, cloud, extent, masks, embeddings } = match configuration.source {
+        let asker = self.vlm.clone().filter(|_| configuration.reasoner != ReasonerChoice::Builtin);
+        let known = |annotations: &Annotations, names| boxed(annotations, scene, names, &models, &settings, asker.is_some());
+        let Entered { instances, cloud, extent, masks, embeddings, album } = match configuration.source {
             Source::Parsed => {
                 let scan = scene.scan.as_deref().with_context(|| missing("scan"))?;
                 let folder = Unpacked::of(scan)?;
-                let ParsedScan { scene, models, .. } =
+                let ParsedScan { scene, models, frames, .. } =
                     parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &Progress::silent())?;
                 let ParsedScene { instances, cloud, extent, embeddings, .. } = scene;
-                Entered { instances, cloud, extent, masks: models.masks, embeddings }
+                Entered { instances, cloud, extent, masks: models.masks, embeddings, album: Album::new(frames, Some(folder)) }
             }
             Source::Oracle => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, Names::Annotated)?,
             Source::OracleBoxes => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, Names::Encoder)?,
             Source::Recorded => known(scene.recorded.as_ref().with_context(|| missing("recorded candidates"))?, Names::Encoder)?,
         };
         let parser = match (&self.vlm, configuration.parser) {
-            (Some(asker), ParserChoice::Vlm) => asker.parser.name(),
+            (Some(asker), ParserChoice::Vlm) => asker.parser_name(),
             _ => BuiltinParser.name(),
         };
         let encoder = models
@@ -145,9 +138,20 @@ impl System for InProcess {
             .filter(|_| embeddings.is_some())
             .unwrap_or_else(|| attributes::NAME.into());
         let seen = models.encoder.zip(embeddings);
-        let models = Models { masks, encoder, parser, reasoner: service::BUILTIN_REASONER.into() };
+        let reasoner = asker.as_ref().map_or_else(|| service::BUILTIN_REASONER.into(), |asker| asker.reasoner_name());
+        let models = Models { masks, encoder, parser, reasoner };
         let boxes = instances.iter().map(|i| i.aabb).collect();
-        Ok(Box::new(LocalScene { instances, boxes, extent, cloud, models, seen, vlm: self.vlm.clone() }))
+        Ok(Box::new(LocalScene {
+            instances,
+            boxes,
+            extent,
+            scenery: Scenery::of(cloud),
+            models,
+            seen,
+            album,
+            parser: self.vlm.clone(),
+            reviewer: asker,
+        }))
     }
 }
 
@@ -158,6 +162,7 @@ struct Entered {
     extent: Aabb,
     masks: String,
     embeddings: Option<Embeddings>,
+    album: Album,
 }
 
 /// Instances from known boxes, with the scan's cloud where there is one, and what an encoder sees of them.
@@ -167,6 +172,7 @@ fn boxed(
     names: Names,
     models: &NeuralModels,
     settings: &ParseSettings,
+    with_views: bool,
 ) -> anyhow::Result<Entered> {
     let folder = scene.scan.as_deref().map(Unpacked::of).transpose()?;
     let bundle = match &folder {
@@ -181,7 +187,10 @@ fn boxed(
         Some(encoder) if names == Names::Encoder => Some(see(known, &mut instances, &cloud, &frames, encoder, &settings.parsing)?),
         _ => None,
     };
-    Ok(Entered { instances, cloud, extent, masks: "none".into(), embeddings })
+    if with_views {
+        view(known, &mut instances, &cloud, &frames, &settings.parsing)?;
+    }
+    Ok(Entered { instances, cloud, extent, masks: "none".into(), embeddings, album: Album::new(frames, folder) })
 }
 
 impl OpenScene for LocalScene {
@@ -197,17 +206,9 @@ impl OpenScene for LocalScene {
             target_name: hints.and_then(|hints| hints.target_name.clone()),
         };
         let start = Instant::now();
-        let (parsed, usage) = match (&self.vlm, configuration.parser) {
-            (Some(asker), ParserChoice::Vlm) => {
-                let reading = asker.runtime.block_on(asker.parser.read(&question.query));
-                let usage = Usage::of(&reading);
-                // A call that failed is no answer of this configuration: it is told, counted as wrong, and asked again next time.
-                if let Some(why) = reading.fell_back.filter(|_| usage.vlm_calls == 0) {
-                    bail!("the model could not be asked: {why}");
-                }
-                (reading.parsed, usage)
-            }
-            _ => (query::parse(&question.query), Usage::default()),
+        let (parsed, mut calls) = match (&self.parser, configuration.parser) {
+            (Some(asker), ParserChoice::Vlm) => asker.read(&question.query)?,
+            _ => (query::parse(&question.query), Vec::new()),
         };
         let reading = start.elapsed();
         let looks = |(encoder, embeddings): &(Arc<DualEncoder>, Embeddings)| {
@@ -216,7 +217,17 @@ impl OpenScene for LocalScene {
         let appearance = self.seen.as_ref().map(looks).transpose()?;
         let view = SceneView { instances, extent: self.extent, appearance: appearance.as_ref() };
         let shortlist = grounding::shortlist(view, &parsed, SHORTLIST_DEPTH as usize);
-        let grounding = grounding::ground_read(view, &question, parsed, reading);
+        let grounding = match &self.reviewer {
+            None => grounding::ground_read(view, &question, parsed, reading),
+            Some(asker) => {
+                let (mut grounding, brief) = grounding::ground_and_brief(view, &question, parsed, reading);
+                if !brief.candidates.is_empty() {
+                    let room = Room { instances, scenery: &self.scenery, extent: self.extent, album: &self.album };
+                    calls.extend(asker.review(&room, &brief, &mut grounding, configuration)?);
+                }
+                grounding
+            }
+        };
         let latency_ms = start.elapsed().as_secs_f64() * 1e3;
         Ok(Reply {
             status: grounding.status,
@@ -227,7 +238,7 @@ impl OpenScene for LocalScene {
             candidates: grounding.candidates,
             shortlist: shortlist.iter().map(|c| c.aabb).collect(),
             models: self.models.clone(),
-            usage,
+            usage: Usage::of(&calls),
             latency_ms,
         })
     }
@@ -240,8 +251,8 @@ impl OpenScene for LocalScene {
         ""
     }
 
-    fn cloud(&self) -> &PointCloud {
-        &self.cloud
+    fn scenery(&self) -> &Scenery {
+        &self.scenery
     }
 }
 

@@ -1,5 +1,6 @@
 //! What is measured: the pipelines in this process, or a running server.
 
+mod asker;
 mod in_process;
 mod oracle;
 mod server;
@@ -8,7 +9,7 @@ use super::configuration::Configuration;
 use super::reply::Reply;
 use super::suite::{Expression, Hints, SuiteScene};
 use crate::geometry::boxes::Aabb;
-use crate::scene::PointCloud;
+use crate::render::Scenery;
 pub use in_process::InProcess;
 pub use oracle::{Names, instances_of, see};
 pub use server::Server;
@@ -52,5 +53,5 @@ pub trait OpenScene: Sync {
     fn token(&self) -> &str;
 
     /// For pictures.
-    fn cloud(&self) -> &PointCloud;
+    fn scenery(&self) -> &Scenery;
 }

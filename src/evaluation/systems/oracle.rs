@@ -10,7 +10,7 @@ use crate::progress::Progress;
 use crate::scene::{Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure, Support};
 use crate::scene_parsing::appearance::{self, Labelled};
 use crate::scene_parsing::instances::{planarity, supports};
-use crate::scene_parsing::{ParseError, ParsingSettings};
+use crate::scene_parsing::{ParseError, ParsingSettings, views};
 
 /// Who names annotated instances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -100,6 +100,34 @@ pub fn see(
     encoder: &DualEncoder,
     settings: &ParsingSettings,
 ) -> Result<Embeddings, ParseError> {
+    let (own, instance_of_point) = points_of(annotations, cloud);
+    let labelled = Labelled { cloud: &own, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
+    let rows = appearance::of_known(frames, instances, labelled, encoder, &settings.appearance)?;
+    Ok(likeness::name_all(instances, encoder, &rows)?)
+}
+
+/// Chooses the frames that show annotated instances best.
+///
+/// # Errors
+/// An unreadable frame.
+pub(super) fn view(
+    annotations: &Annotations,
+    instances: &mut [Instance],
+    cloud: &PointCloud,
+    frames: &[FrameRef],
+    settings: &ParsingSettings,
+) -> Result<(), ParseError> {
+    let (own, instance_of_point) = points_of(annotations, cloud);
+    let mut seen = Vec::new();
+    for frame in frames {
+        seen.extend(views::sightings(&own, &instance_of_point, &frame.decode()?, settings.depth_tolerance));
+    }
+    views::choose(instances, seen, frames, &settings.views);
+    Ok(())
+}
+
+/// The points that are annotated as some object's, and as whose.
+fn points_of(annotations: &Annotations, cloud: &PointCloud) -> (PointCloud, Vec<InstanceId>) {
     let mut own = PointCloud::default();
     let mut instance_of_point = Vec::new();
     for (i, label) in annotations.label(cloud).iter().enumerate() {
@@ -109,9 +137,7 @@ pub fn see(
             instance_of_point.push(InstanceId(object as u32 + 1));
         }
     }
-    let labelled = Labelled { cloud: &own, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
-    let rows = appearance::of_known(frames, instances, labelled, encoder, &settings.appearance)?;
-    Ok(likeness::name_all(instances, encoder, &rows)?)
+    (own, instance_of_point)
 }
 
 /// Names an instance, in the lexicon's word where it has one.

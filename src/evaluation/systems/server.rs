@@ -11,7 +11,7 @@ use crate::geometry::boxes::Aabb;
 use crate::ingest::archive::ArchiveKind;
 use crate::ingest::read_cloud;
 use crate::jobs::JobState;
-use crate::scene::PointCloud;
+use crate::render::Scenery;
 use crate::service::{GroundRequest, ParsePreset, ParserChoice, Scene, ShortlistRequest};
 use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -37,7 +37,7 @@ struct RemoteScene {
     id: String,
     token: String,
     boxes: Vec<Aabb>,
-    cloud: PointCloud,
+    scenery: Scenery,
 }
 
 impl Server {
@@ -97,9 +97,9 @@ impl System for Server {
             let folder = tempfile::tempdir()?;
             let file = Utf8Path::from_path(folder.path()).context("the temporary folder is no text")?.join("cloud.ply");
             fs::write(&file, cloud)?;
-            let cloud = read_cloud(&file)?;
+            let scenery = Scenery::of(read_cloud(&file)?);
             let token = token_of(&self.client.scene(&id).await?);
-            let scene = RemoteScene { token, client: self.client.clone(), runtime: self.runtime.clone(), id, boxes, cloud };
+            let scene = RemoteScene { token, client: self.client.clone(), runtime: self.runtime.clone(), id, boxes, scenery };
             Ok(Box::new(scene) as Box<dyn OpenScene>)
         })
     }
@@ -107,12 +107,13 @@ impl System for Server {
 
 impl OpenScene for RemoteScene {
     fn ask(&self, expression: &Expression, configuration: &Configuration, _: Option<&Hints>) -> anyhow::Result<Reply> {
-        let Configuration { parser, reasoner, ablation, top_k, convention, .. } = configuration;
+        let Configuration { parser, reasoner, ablation, evidence, top_k, convention, .. } = configuration;
         let request = GroundRequest {
             top_k: *top_k,
             parser: *parser,
             reasoner: *reasoner,
             ablation: *ablation,
+            evidence: *evidence,
             direction_convention: *convention,
             ..GroundRequest::of(&expression.query)
         };
@@ -149,8 +150,8 @@ impl OpenScene for RemoteScene {
         &self.token
     }
 
-    fn cloud(&self) -> &PointCloud {
-        &self.cloud
+    fn scenery(&self) -> &Scenery {
+        &self.scenery
     }
 }
 

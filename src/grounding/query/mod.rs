@@ -59,6 +59,16 @@ impl Look {
             Self::BackTo => "back_to",
         }
     }
+
+    /// Between "somebody" and "the window".
+    #[must_use]
+    pub fn phrase(self) -> &'static str {
+        match self {
+            Self::Facing => "facing",
+            Self::From => "looking from",
+            Self::BackTo => "with the back to",
+        }
+    }
 }
 
 /// A noun phrase, with all that is said of the thing it names.

@@ -1,7 +1,7 @@
 //! Who reads queries: the built-in grammar, or a vision-language model.
 
 use super::{ParsedQuery, parse, vlm};
-use crate::models::chat::{ChatClient, ChatReply};
+use crate::models::chat::{CallRecord, ChatClient, Purse, Session};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 use std::sync::Arc;
@@ -11,9 +11,7 @@ use std::sync::Arc;
 pub struct Reading {
     pub parsed: ParsedQuery,
     /// The calls it took.
-    pub calls: Vec<ChatReply>,
-    /// Of those calls, US dollars.
-    pub cost_usd: f64,
+    pub calls: Vec<CallRecord>,
     /// Why the built-in grammar had to step in, if so.
     pub fell_back: Option<String>,
 }
@@ -44,6 +42,8 @@ impl QueryParser for BuiltinParser {
 #[derive(Clone)]
 pub struct VlmParser {
     pub client: Arc<ChatClient>,
+    /// What pays for the call.
+    pub purses: Vec<Purse>,
 }
 
 impl QueryParser for VlmParser {
@@ -53,20 +53,15 @@ impl QueryParser for VlmParser {
 
     fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading> {
         async move {
-            let (calls, read) = match self.client.ask(&vlm::request(query)).await {
-                Ok(reply) => {
-                    let read = vlm::decode(&reply.text);
-                    (vec![reply], read)
-                }
-                Err(error) => (Vec::new(), Err(error.to_string())),
+            let mut session = Session::new(&self.client, self.purses.clone(), 1);
+            let read = match session.ask("parse", vlm::request(query)).await {
+                Ok(text) => vlm::decode(&text),
+                Err(error) => Err(error.to_string()),
             };
-            let cost_usd = calls
-                .iter()
-                .map(|c| self.client.cost_usd(c.prompt_tokens, c.completion_tokens))
-                .fold(0.0, |sum, c| sum + c);
+            let calls = session.into_records();
             match read {
-                Ok(parsed) => Reading { parsed, calls, cost_usd, fell_back: None },
-                Err(why) => Reading { parsed: parse(query), calls, cost_usd, fell_back: Some(why) },
+                Ok(parsed) => Reading { parsed, calls, fell_back: None },
+                Err(why) => Reading { parsed: parse(query), calls, fell_back: Some(why) },
             }
         }
         .boxed()

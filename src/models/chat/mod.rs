@@ -1,16 +1,25 @@
 //! Vision-language models behind any OpenAI-compatible chat endpoint (METHOD section 4, "Calls").
 
+mod purse;
+mod session;
 mod tape;
+mod tokens;
 
+use crate::models::with_causes;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+pub use purse::{OverBudget, Purse};
 use reqwest::header::RETRY_AFTER;
 use reqwest::{Response, StatusCode};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+pub use session::{AskError, CallRecord, Session};
 use sha2::{Digest, Sha256};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 pub use tape::Tape;
+pub use tokens::Tokens;
+use tokio::sync::Semaphore;
 use tokio::time::sleep;
 
 /// Where a model is asked, and what it costs.
@@ -22,6 +31,8 @@ pub struct Endpoint {
     /// Never logged, never put on tape.
     pub api_key: Option<String>,
     pub prices: Prices,
+    /// Requests under way at once; more wait their turn.
+    pub concurrency: usize,
 }
 
 impl std::fmt::Debug for Endpoint {
@@ -69,7 +80,17 @@ pub struct ChatRequest {
 #[derive(Debug, Clone, PartialEq)]
 pub enum Part {
     Text(String),
-    Jpeg(Vec<u8>),
+    Picture(Picture),
+}
+
+/// A picture for a model.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Picture {
+    /// By which it is found again: `global`, `candidate-7`.
+    pub name: String,
+    pub jpeg: Arc<[u8]>,
+    pub width: u32,
+    pub height: u32,
 }
 
 /// What the model said, and what it took.
@@ -86,8 +107,8 @@ pub struct ChatReply {
 pub enum ChatError {
     #[error("the model's server said {status}: {detail}")]
     Refused { status: StatusCode, detail: String },
-    #[error("the model's server can not be reached, or took too long")]
-    Transport(#[from] reqwest::Error),
+    #[error("the model's server can not be reached, or took too long: {0}")]
+    Transport(String),
     #[error("the model's server answered something that is no chat completion: {0}")]
     Undecodable(String),
     #[error("the tape has no answer to this question of {0}")]
@@ -96,12 +117,23 @@ pub enum ChatError {
     Tape(#[from] std::io::Error),
 }
 
+/// A question that got no answer, and what was done for it.
+#[derive(Debug, thiserror::Error)]
+#[error("{error}")]
+pub struct ChatFailure {
+    #[source]
+    pub error: ChatError,
+    pub attempts: u32,
+    pub latency_ms: f64,
+}
+
 /// A model and how to ask it.
 pub struct ChatClient {
     http: reqwest::Client,
     endpoint: Endpoint,
     patience: Patience,
     tape: Tape,
+    turns: Semaphore,
 }
 
 #[derive(Deserialize)]
@@ -118,7 +150,33 @@ struct Choice {
 
 #[derive(Deserialize)]
 struct Message {
-    content: Option<String>,
+    content: Option<Content>,
+    /// Why nothing is said, with some servers.
+    refusal: Option<String>,
+}
+
+/// Most servers answer with a text, some with a list of parts.
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum Content {
+    Text(String),
+    Parts(Vec<ContentPart>),
+}
+
+#[derive(Deserialize)]
+struct ContentPart {
+    #[serde(default)]
+    text: String,
+}
+
+impl Message {
+    fn text(self) -> Option<String> {
+        let said = self.content.map(|content| match content {
+            Content::Text(text) => text,
+            Content::Parts(parts) => parts.into_iter().map(|part| part.text).collect(),
+        });
+        said.filter(|text| !text.is_empty()).or(self.refusal)
+    }
 }
 
 #[derive(Default, Deserialize)]
@@ -132,7 +190,8 @@ struct Usage {
 impl ChatClient {
     #[must_use]
     pub fn new(endpoint: Endpoint, patience: Patience, tape: Tape) -> Self {
-        Self { http: reqwest::Client::new(), endpoint, patience, tape }
+        let turns = Semaphore::new(endpoint.concurrency.max(1));
+        Self { http: reqwest::Client::new(), endpoint, patience, tape, turns }
     }
 
     #[must_use]
@@ -150,32 +209,35 @@ impl ChatClient {
     /// Asks, with patience; from the tape where it has the answer.
     ///
     /// # Errors
-    /// [`ChatError`] once every attempt failed, or at once where another would fail alike.
-    pub async fn ask(&self, request: &ChatRequest) -> Result<ChatReply, ChatError> {
+    /// [`ChatFailure`] once every attempt failed, or at once where another would fail alike.
+    pub async fn ask(&self, request: &ChatRequest) -> Result<ChatReply, ChatFailure> {
+        let never_asked = |error| ChatFailure { error, attempts: 0, latency_ms: 0.0 };
         let body = self.body(request, request.schema.is_some());
         let key: String = Sha256::digest(body.to_string()).iter().map(|byte| format!("{byte:02x}")).collect();
         if let Some(reply) = self.tape.reply(&key) {
             return Ok(reply);
         }
         if self.tape.is_replay() {
-            return Err(ChatError::NotOnTape(self.endpoint.model.clone()));
+            return Err(never_asked(ChatError::NotOnTape(self.endpoint.model.clone())));
         }
         let reply = self.ask_live(request, body).await?;
-        self.tape.record_reply(&key, &self.endpoint.model, &reply)?;
+        self.tape
+            .record_reply(&key, &self.endpoint.model, &reply)
+            .map_err(|error| never_asked(error.into()))?;
         Ok(reply)
     }
 
-    async fn ask_live(&self, request: &ChatRequest, mut body: Value) -> Result<ChatReply, ChatError> {
+    async fn ask_live(&self, request: &ChatRequest, mut body: Value) -> Result<ChatReply, ChatFailure> {
         let start = Instant::now();
         let mut attempts = 0;
         loop {
             attempts += 1;
             let (error, wait) = match self.send(&body).await {
                 Ok(Completion { choices, usage }) => {
-                    let text = choices.into_iter().next().and_then(|choice| choice.message.content);
-                    let text = text.ok_or_else(|| ChatError::Undecodable("there is no choice with text".into()))?;
                     let Usage { prompt_tokens, completion_tokens } = usage;
                     let latency_ms = start.elapsed().as_secs_f64() * 1e3;
+                    // Nothing said is a reply as well, if one that says nothing.
+                    let text = choices.into_iter().next().and_then(|choice| choice.message.text()).unwrap_or_default();
                     return Ok(ChatReply { text, prompt_tokens, completion_tokens, attempts, latency_ms });
                 }
                 Err(failure) => failure,
@@ -186,7 +248,9 @@ impl ChatClient {
                 body = self.body(request, false);
                 continue;
             }
-            let Some(asked_for) = wait.filter(|_| attempts < self.patience.attempts) else { return Err(error) };
+            let Some(asked_for) = wait.filter(|_| attempts < self.patience.attempts) else {
+                return Err(ChatFailure { error, attempts, latency_ms: start.elapsed().as_secs_f64() * 1e3 });
+            };
             // Jitter from the clock spreads callers that failed together; nothing that is kept depends on it.
             let jitter = f64::from(start.elapsed().subsec_nanos() % 1000) / 1000.0;
             let backoff = self.patience.backoff.mul_f64(f64::from(1_u32 << (attempts - 1).min(16)) * (1.0 + 0.25 * jitter));
@@ -201,22 +265,28 @@ impl ChatClient {
         if let Some(key) = &self.endpoint.api_key {
             request = request.bearer_auth(key);
         }
-        let transport = |error: reqwest::Error| (ChatError::Transport(error.without_url()), Some(None));
+        let transport = |error: reqwest::Error| (ChatError::Transport(with_causes(&error.without_url())), Some(None));
+        let _turn = self.turns.acquire().await;
         let response = request.send().await.map_err(transport)?;
         let (status, wait) = (response.status(), retry_after(&response));
-        let text = response.text().await.map_err(transport)?;
+        let text = bounded(response)
+            .await
+            .map_err(transport)?
+            .ok_or_else(|| (ChatError::Undecodable(format!("it is longer than {MAX_REPLY_BYTES} bytes")), None))?;
         if !status.is_success() {
             let again = matches!(status.as_u16(), 408 | 409 | 429) || status.is_server_error();
             return Err((ChatError::Refused { status, detail: detail(&text) }, again.then_some(wait)));
         }
-        serde_json::from_str(&text).map_err(|error| (ChatError::Undecodable(error.to_string()), Some(None)))
+        let undecodable = |why: String| (ChatError::Undecodable(why), Some(None));
+        let completion: Completion = serde_json::from_str(&text).map_err(|error| undecodable(error.to_string()))?;
+        if completion.choices.is_empty() { Err(undecodable("there is no choice".into())) } else { Ok(completion) }
     }
 
     fn body(&self, request: &ChatRequest, with_schema: bool) -> Value {
         let part = |part: &Part| match part {
             Part::Text(text) => json!({"type": "text", "text": text}),
-            Part::Jpeg(bytes) => {
-                json!({"type": "image_url", "image_url": {"url": format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes))}})
+            Part::Picture(Picture { jpeg, .. }) => {
+                json!({"type": "image_url", "image_url": {"url": format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg))}})
             }
         };
         let user = match request.user.as_slice() {
@@ -232,6 +302,21 @@ impl ChatClient {
         }
         body
     }
+}
+
+/// A reply that is longer is none.
+const MAX_REPLY_BYTES: usize = 8 << 20;
+
+/// The body as text, `None` when it does not end.
+async fn bounded(mut response: Response) -> Result<Option<String>, reqwest::Error> {
+    let mut bytes = Vec::new();
+    while let Some(chunk) = response.chunk().await? {
+        bytes.extend_from_slice(&chunk);
+        if bytes.len() > MAX_REPLY_BYTES {
+            return Ok(None);
+        }
+    }
+    Ok(Some(String::from_utf8_lossy(&bytes).into_owned()))
 }
 
 /// What a server asks to wait, in seconds; dates are not understood.

@@ -4,6 +4,7 @@
 
 use super::ModelError;
 use super::network::{Element, Input, Network, Port, Signature, Tensor, Values, finite};
+use crate::models::with_causes;
 use reqwest::StatusCode;
 use reqwest::blocking::{Client, RequestBuilder, Response};
 use reqwest::header::{CONTENT_TYPE, RETRY_AFTER};
@@ -346,10 +347,4 @@ fn bounded(answer: Response) -> Result<Vec<u8>, String> {
         return Err("the answer does not end".into());
     }
     Ok(body)
-}
-
-/// An error with what caused it: the outermost alone seldom says it.
-fn with_causes(error: &dyn std::error::Error) -> String {
-    let causes = std::iter::successors(Some(error), |e| e.source());
-    causes.map(ToString::to_string).collect::<Vec<_>>().join(": ")
 }

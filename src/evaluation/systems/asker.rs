@@ -1,0 +1,144 @@
+//! A vision-language model, asked from threads that know of no runtime.
+
+use crate::evaluation::configuration::Configuration;
+use crate::geometry::boxes::Aabb;
+use crate::grounding::Grounding;
+use crate::grounding::query::{ParsedQuery, QueryParser, VlmParser};
+use crate::grounding::vlm::{
+    Brief, Conversation, EvidenceMode, Exhibits, MAX_CALLS, Options, PROMPT_VERSION, PictureSettings, collages, decide, global, naming,
+};
+use crate::ingest::Unpacked;
+use crate::models::chat::{CallRecord, ChatClient, Picture, Purse, Session};
+use crate::render::{Scenery, Shot, close_ups};
+use crate::scene::{FrameRef, Instance, InstanceId};
+use crate::scene_parsing::evidence;
+use anyhow::{Context, bail};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use tokio::runtime::Runtime;
+
+/// A model, and what may be spent on it in this run.
+pub(super) struct Asker {
+    client: Arc<ChatClient>,
+    purses: Vec<Purse>,
+    runtime: Runtime,
+}
+
+/// The photographs of a scene, and what has been made of them.
+pub(super) struct Album {
+    pub frames: Vec<FrameRef>,
+    /// Where the frames lie; a temporary folder goes with it.
+    _folder: Option<Unpacked>,
+    collages: Mutex<BTreeMap<u32, Picture>>,
+    names: Mutex<BTreeMap<u32, String>>,
+}
+
+impl Album {
+    pub fn new(frames: Vec<FrameRef>, folder: Option<Unpacked>) -> Self {
+        Self { frames, _folder: folder, collages: Mutex::default(), names: Mutex::default() }
+    }
+
+    fn shots(&self, instance: &Instance, scenery: &Scenery) -> Vec<Shot> {
+        let shot = |view: &crate::scene::View| {
+            let frame = self.frames.iter().find(|frame| frame.index == view.frame)?.decode_color().ok()?;
+            let (width, height) = (frame.width() as f32, frame.height() as f32);
+            let [left, top, right, bottom] = view.box_px.map(|v| v as f32);
+            Some(Shot { crop: evidence::crop(&frame, view), place: [left / width, top / height, right / width, bottom / height], frame })
+        };
+        let shots: Vec<Shot> = instance.views.iter().filter_map(shot).collect();
+        if shots.is_empty() && !scenery.cloud.is_empty() { close_ups(scenery, &instance.aabb) } else { shots }
+    }
+}
+
+/// A scene as the model is shown it.
+pub(super) struct Room<'a> {
+    pub instances: &'a [Instance],
+    pub scenery: &'a Scenery,
+    pub extent: Aabb,
+    pub album: &'a Album,
+}
+
+impl Asker {
+    pub fn new(client: ChatClient, max_usd: Option<f64>) -> anyhow::Result<Self> {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+        let purses = max_usd.map(|usd| Purse::new("this run", usd)).into_iter().collect();
+        Ok(Self { client: Arc::new(client), purses, runtime })
+    }
+
+    fn parser(&self) -> VlmParser {
+        VlmParser { client: self.client.clone(), purses: self.purses.clone() }
+    }
+
+    pub fn parser_name(&self) -> String {
+        self.parser().name()
+    }
+
+    pub fn reasoner_name(&self) -> String {
+        format!("{} (prompt {PROMPT_VERSION})", self.client.model())
+    }
+
+    /// Reads a question. A call that failed is no answer of the configuration: it is told, counted as wrong, and asked again next time.
+    pub fn read(&self, query: &str) -> anyhow::Result<(ParsedQuery, Vec<CallRecord>)> {
+        let reading = self.runtime.block_on(self.parser().read(query));
+        let answered = reading.calls.iter().any(|call| call.outcome.is_ok());
+        if let Some(why) = reading.fell_back.filter(|_| !answered) {
+            bail!("the model could not be asked: {why}");
+        }
+        Ok((reading.parsed, reading.calls))
+    }
+
+    /// Lets the model decide.
+    pub fn review(
+        &self,
+        room: &Room,
+        brief: &Brief,
+        grounding: &mut Grounding,
+        configuration: &Configuration,
+    ) -> anyhow::Result<Vec<CallRecord>> {
+        let options = Options { ablation: configuration.ablation, evidence: configuration.evidence, json: false };
+        let uses_names = options.evidence == EvidenceMode::CachedNames;
+        let names: BTreeMap<u32, String> = match uses_names {
+            true => {
+                let known = room.album.names.lock().unwrap_or_else(PoisonError::into_inner);
+                known
+                    .iter()
+                    .filter(|(id, _)| brief.is_candidate(**id))
+                    .map(|(id, name)| (*id, name.clone()))
+                    .collect()
+            }
+            false => BTreeMap::new(),
+        };
+        let settings = if uses_names { PictureSettings::frugal() } else { PictureSettings::full() };
+        let exhibits = exhibits(room, brief, &settings);
+        let unnamed: Vec<&Instance> = match uses_names {
+            true => brief
+                .candidates
+                .iter()
+                .filter(|c| !names.contains_key(&c.id.0))
+                .filter_map(|c| room.instances.get(c.id.0 as usize - 1))
+                .take(naming::PER_SHEET)
+                .collect(),
+            false => Vec::new(),
+        };
+        let sheet = |instances: &[&Instance]| {
+            let shots = instances.iter().filter_map(|i| Some((i.id, room.album.shots(i, room.scenery).into_iter().next()?)));
+            naming::sheet(1, &shots.collect::<Vec<_>>())
+        };
+        let unnamed = (!unnamed.is_empty()).then(|| (sheet(&unnamed), unnamed.iter().map(|i| i.id.0).collect()));
+        let conversation = Conversation { brief, exhibits: &exhibits, options, names, unnamed };
+        let mut session = Session::new(&self.client, self.purses.clone(), MAX_CALLS);
+        let decision = self.runtime.block_on(decide(&conversation, &mut session)).context("the model could not be asked")?;
+        room.album.names.lock().unwrap_or_else(PoisonError::into_inner).extend(decision.new_names.clone());
+        decision.apply(grounding, brief, room.instances);
+        Ok(session.into_records())
+    }
+}
+
+fn exhibits(room: &Room, brief: &Brief, settings: &PictureSettings) -> Exhibits {
+    let mut known = room.album.collages.lock().unwrap_or_else(PoisonError::into_inner);
+    let missing: Vec<InstanceId> = brief.candidates.iter().map(|c| c.id).filter(|id| !known.contains_key(&id.0)).collect();
+    let shots = |id: InstanceId| room.instances.get(id.0 as usize - 1).map_or_else(Vec::new, |i| room.album.shots(i, room.scenery));
+    known.extend(collages(&missing, shots, settings.collage));
+    let of_candidates = brief.candidates.iter().filter_map(|c| Some((c.id.0, known.get(&c.id.0)?.clone())));
+    Exhibits { global: global(brief, room.scenery, &room.extent, &settings.global), collages: of_candidates.collect() }
+}

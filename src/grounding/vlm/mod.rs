@@ -1,0 +1,193 @@
+//! Stage 2 with a vision-language model: contextual semantic-spatial reasoning in a closed loop (paper, Algorithm 1; METHOD section 4).
+//!
+//! ```text
+//! brief (candidates, anchors, directions) -> exhibits (render, collages) -> prompt -> model -> reply -> checks
+//!                                                                              ^------- what was wrong -----|
+//! ```
+//! The geometry has been at work before: candidates, anchors and directions are the built-in reasoner's. The model decides; what it says
+//! is checked, and asked about again where it does not hold together. Every call is remembered by its [`Session`].
+
+mod brief;
+mod consistency;
+mod decision;
+mod exhibits;
+pub mod naming;
+mod prompt;
+pub mod reply;
+
+pub use brief::{Brief, BriefAnchor, BriefCandidate};
+pub use decision::{Decision, Outcome};
+pub use exhibits::{Exhibits, PictureSettings, collages, global};
+pub use prompt::PROMPT_VERSION;
+
+use crate::models::chat::{AskError, Picture, Session};
+use prompt::Correction;
+use reply::{Choice, Reply};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use utoipa::ToSchema;
+
+/// Calls one question may take. METHOD: 3.
+pub const MAX_CALLS: u32 = 3;
+
+/// Parts of the paper's prompt left out; only a vision-language model has a prompt.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Ablation {
+    #[default]
+    Full,
+    NoGlobal,
+    NoCandidate,
+    SimplePrompt,
+}
+
+/// What a vision-language model is shown of the candidates.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum EvidenceMode {
+    /// Photographs of every candidate with every question, as in the paper.
+    #[default]
+    Full,
+    /// Names that a model gave once, and a smaller render; photographs only of candidates the question can not tell apart by name.
+    CachedNames,
+}
+
+/// How a model is asked.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Options {
+    pub ablation: Ablation,
+    pub evidence: EvidenceMode,
+    /// Ask for JSON by schema instead of six lines.
+    pub json: bool,
+}
+
+/// What one question is decided from.
+#[derive(Debug, Clone)]
+pub struct Conversation<'a> {
+    pub brief: &'a Brief,
+    pub exhibits: &'a Exhibits,
+    pub options: Options,
+    /// Names that were given before, by id.
+    pub names: BTreeMap<u32, String>,
+    /// A sheet of candidates without a name, to be named first; only with [`EvidenceMode::CachedNames`].
+    pub unnamed: Option<(Picture, Vec<u32>)>,
+}
+
+/// Asks until the answer holds together, at most as often as the session allows.
+///
+/// # Errors
+/// [`AskError`] when the model could not be asked and has said nothing that can be used before.
+pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) -> Result<Decision, AskError> {
+    let Conversation { brief, options, .. } = conversation;
+    let mut decision = Decision::default();
+    let mut names = conversation.names.clone();
+    if let Some((sheet, ids)) = conversation.unnamed.clone().filter(|_| options.uses_names()) {
+        let text = session.ask("naming", naming::request(sheet, &ids)).await?;
+        decision.new_names = naming::read(&text, &ids);
+        names.extend(decision.new_names.clone());
+    }
+    if !options.uses_names() {
+        names.clear();
+    }
+    let shown = conversation.shown(&names);
+    let mut request = prompt::spatial(conversation, &shown, &names);
+    let (mut purpose, mut looked_again) = ("spatial", false);
+    loop {
+        let text = match session.ask(purpose, request).await {
+            Ok(text) => text,
+            Err(error) if decision.settle(&error) => break,
+            Err(error) => return Err(error),
+        };
+        let reply = reply::read(&text);
+        names.extend(
+            reply
+                .candidate_names
+                .iter()
+                .filter(|(id, _)| brief.is_candidate(**id))
+                .map(|(id, name)| (*id, name.clone())),
+        );
+        let correction = wrong_with(&reply, brief, &names, looked_again);
+        decision.take(reply, brief);
+        let Some(correction) = correction else { break };
+        decision.corrections.push(told(&correction));
+        if session.calls_left() == 0 {
+            break;
+        }
+        looked_again |= matches!(correction, Correction::Inconsistent { .. });
+        purpose = correction.purpose();
+        request = prompt::corrected(conversation, &conversation.shown_again(&correction, &shown), &names, &correction);
+    }
+    decision.names = names;
+    decision.project(brief);
+    Ok(decision)
+}
+
+impl Options {
+    /// Names stand for what a model has seen in photographs: an ablation of these leaves them out as well.
+    fn uses_names(self) -> bool {
+        self.evidence == EvidenceMode::CachedNames && self.ablation != Ablation::NoCandidate
+    }
+}
+
+impl Conversation<'_> {
+    /// The pictures of the first call.
+    fn shown(&self, names: &BTreeMap<u32, String>) -> Exhibits {
+        let mut shown = self.exhibits.clone();
+        match self.options.ablation {
+            Ablation::NoGlobal => shown.global = None,
+            Ablation::NoCandidate => shown.collages.clear(),
+            Ablation::Full | Ablation::SimplePrompt => {}
+        }
+        if self.options.uses_names() {
+            let needed = consistency::to_be_looked_at(self.brief, names);
+            shown.collages.retain(|id, _| needed.contains(id));
+        }
+        shown
+    }
+
+    /// The pictures of another call. Paper: the renders and the images of the candidate that was chosen.
+    fn shown_again(&self, correction: &Correction, shown: &Exhibits) -> Exhibits {
+        match correction {
+            Correction::Inconsistent { id, .. } => {
+                let of_chosen = self.exhibits.collages.get_key_value(id).filter(|_| self.options.ablation != Ablation::NoCandidate);
+                Exhibits { global: shown.global.clone(), collages: of_chosen.map(|(id, p)| (*id, p.clone())).into_iter().collect() }
+            }
+            Correction::OutOfSet { .. } | Correction::Unreadable { .. } => shown.clone(),
+        }
+    }
+}
+
+/// What is to be asked again, and why.
+fn wrong_with(reply: &Reply, brief: &Brief, names: &BTreeMap<u32, String>, looked_again: bool) -> Option<Correction> {
+    match reply.predicted {
+        Choice::Nothing => None,
+        Choice::Missing => Some(Correction::Unreadable { why: "no \"Predicted ID\" could be read".into() }),
+        Choice::Contradiction(a, b) if a == b => Some(Correction::Unreadable { why: format!("the ID is both {a} and none") }),
+        Choice::Contradiction(a, b) => Some(Correction::Unreadable { why: format!("the ID is both {a} and {b}") }),
+        Choice::Id(id) if !brief.is_candidate(id) => Some(Correction::OutOfSet { id }),
+        Choice::Id(_) if looked_again => None,
+        Choice::Id(id) => consistency::disagreement(&brief.target, names, id, reply).map(|why| Correction::Inconsistent { id, why }),
+    }
+}
+
+impl Correction {
+    fn purpose(&self) -> &'static str {
+        match self {
+            Self::OutOfSet { .. } => "out_of_set",
+            Self::Unreadable { .. } => "unreadable",
+            Self::Inconsistent { .. } => "inconsistent",
+        }
+    }
+}
+
+/// For the trace.
+fn told(correction: &Correction) -> String {
+    match correction {
+        Correction::OutOfSet { id } => format!("the model answered ID {id}, which is no candidate"),
+        Correction::Unreadable { why } => format!("the model answered something of which {why}"),
+        Correction::Inconsistent { id, why } => format!("the model answered ID {id}, but {why}"),
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,121 @@
+use super::*;
+use proptest::prelude::*;
+
+const CORPUS: &str = include_str!("../../../../tests/data/replies.txt");
+
+fn value<'a>(expected: &'a str, key: &str) -> &'a str {
+    const KEYS: [&str; 5] = ["id=", "names=", "matches=", "anchor=", "relation="];
+    let start = expected.find(key).map(|at| at + key.len()).unwrap();
+    let rest = &expected[start..];
+    let end = KEYS.iter().filter_map(|next| rest.find(&format!(" {next}"))).min().unwrap_or(rest.len());
+    rest[..end].trim_end_matches('\n')
+}
+
+#[test]
+fn every_shape_of_the_corpus_is_read() {
+    let shapes: Vec<&str> = CORPUS.split("===== ").skip(1).collect();
+    assert!(shapes.len() >= 40, "{}", shapes.len());
+    for shape in shapes {
+        let (name, rest) = shape.split_once('\n').unwrap();
+        let (text, expected) = rest.split_once("-----\n").unwrap();
+        let reply = read(text);
+        let id = match reply.predicted {
+            Choice::Id(id) => id.to_string(),
+            Choice::Nothing => "nothing".into(),
+            Choice::Contradiction(..) => "contradiction".into(),
+            Choice::Missing => "missing".into(),
+        };
+        let or_dash = |text: String| if text.is_empty() { "-".to_owned() } else { text };
+        let ids = reply.candidate_names.keys().map(u32::to_string).collect::<Vec<_>>().join(",");
+        let found = format!(
+            "id={id} names={} matches={} anchor={} relation={}",
+            or_dash(ids),
+            or_dash(reply.target_name_matches.map_or(String::new(), |m| m.to_string())),
+            or_dash(reply.anchor_id.map_or(String::new(), |a| a.to_string())),
+            or_dash(reply.relation_used.clone().unwrap_or_default())
+        );
+        let keys = ["id=", "names=", "matches=", "anchor=", "relation="];
+        let expected = keys.map(|key| format!("{key}{}", value(expected, key))).join(" ");
+        assert_eq!(found, expected, "{name}: {reply:?}");
+    }
+}
+
+#[test]
+fn names_and_explanations_are_whole() {
+    let reply = read(CORPUS.split("===== several lines of explanation\n").nth(1).unwrap().split("-----").next().unwrap());
+    assert_eq!(
+        reply.explanation.as_deref(),
+        Some("First, ID 7 is a wall. Then, ID 48 is on the floor at Z 0.2. So 22 it is, 1.11 m up.")
+    );
+    assert_eq!(reply.candidate_names[&48], "air conditioner");
+    let reply =
+        read("Predicted ID: 22\nExplanation: x\nCandidate Names:\n* ID 7: beige wall section\n* ID 22: window, with 2 panes\nAnchor ID: 1");
+    assert_eq!(
+        reply.candidate_names,
+        BTreeMap::from([(7, "beige wall section".to_owned()), (22, "window, with 2 panes".to_owned())])
+    );
+    assert_eq!(reply.not_read, ["Target name matches?", "Relation used"]);
+}
+
+#[test]
+fn a_megabyte_of_noise_is_nothing_and_hides_nothing() {
+    let noise: String = (0..131_072_u32).map(|i| format!("{:x} {{ ", i.wrapping_mul(2_654_435_761))).collect();
+    assert!(noise.len() > 1 << 20);
+    assert_eq!(read(&noise).predicted, Choice::Missing);
+    let answer = "\nPredicted ID: 22\nExplanation: x\nAnchor ID: 20\n";
+    assert_eq!(read(&format!("{noise}{answer}")).predicted, Choice::Id(22));
+    assert_eq!(read(&format!("{answer}{noise}")).predicted, Choice::Id(22));
+}
+
+/// Texts made of what replies are made of.
+fn pieces() -> impl Strategy<Value = String> {
+    let piece = prop_oneof![
+        Just("Predicted ID".to_owned()),
+        Just("Explanation: ".into()),
+        Just("Candidate Names:".into()),
+        Just("Anchor ID".into()),
+        Just(": ".into()),
+        Just("\n".into()),
+        Just("**".into()),
+        Just("{\"predicted_id\": ".into()),
+        Just("}".into()),
+        Just("<think>".into()),
+        Just("</think>".into()),
+        Just(" -> ".into()),
+        Just("：".into()),
+        "[0-9]{1,12}",
+        "\\PC{0,6}",
+    ];
+    prop::collection::vec(piece, 0..40).prop_map(|pieces| pieces.concat())
+}
+
+proptest! {
+    #[test]
+    fn no_text_panics(text in "\\PC{0,200}") {
+        let _ = read(&text);
+    }
+
+    /// An id stands in the text as a whole number: within the id field, or alone.
+    #[test]
+    fn an_id_is_in_its_field(text in pieces()) {
+        if let Choice::Id(id) = read(&text).predicted {
+            let plain = normalised(&text);
+            let alone = plain.split(|c: char| !c.is_ascii_digit()).any(|digits| digits.trim_start_matches('0') == id.to_string().trim_start_matches('0'));
+            prop_assert!(alone, "{id} of {text:?}");
+            let compact: String = plain.to_ascii_lowercase().chars().filter(char::is_ascii_alphanumeric).collect();
+            let is_field = compact.contains("predictedid");
+            let is_bare = plain.split('>').next_back().unwrap_or_default().chars().filter(char::is_ascii_digit).count() > 0 || plain.trim().len() <= 60;
+            prop_assert!(is_field || is_bare, "{id} of {text:?}");
+        }
+    }
+
+    /// Numbers outside of the id field change nothing.
+    #[test]
+    fn numbers_in_other_fields_are_never_the_id(id in 1_u32..500, others in prop::collection::vec(0_u32..500, 1..6)) {
+        let numbers = others.iter().map(|n| format!("ID {n}, {n}.5 m")).collect::<Vec<_>>().join("; ");
+        let text = format!("Explanation: {numbers}\nCandidate Names: {} -> thing\nAnchor ID: {}\nPredicted ID: {id}\nRelation used: {numbers}", others[0], others[0]);
+        prop_assert_eq!(read(&text).predicted, Choice::Id(id));
+        let without = text.replace(&format!("Predicted ID: {id}"), "Predicted: it");
+        prop_assert_eq!(read(&without).predicted, Choice::Missing);
+    }
+}

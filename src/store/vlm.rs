@@ -1,0 +1,66 @@
+//! What is kept of vision-language models: names they gave, and what was paid.
+
+use super::{Store, StoreError, now};
+use std::collections::BTreeMap;
+
+impl Store {
+    /// Names of a parse's instances, by id, as one model gave them with one version of the question.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn instance_names(&self, parse_id: &str, model: &str, prompt_version: u32) -> Result<BTreeMap<u32, String>, StoreError> {
+        let sql = "SELECT instance_id, name FROM instance_names WHERE parse_id = ? AND model = ? AND prompt_version = ?";
+        let rows: Vec<(u32, String)> = sqlx::query_as(sql).bind(parse_id).bind(model).bind(prompt_version).fetch_all(&self.reader).await?;
+        Ok(rows.into_iter().collect())
+    }
+
+    /// Keeps names; those given before stay. Nothing is kept when the parse is gone.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn keep_instance_names(
+        &self,
+        parse_id: &str,
+        model: &str,
+        prompt_version: u32,
+        names: &BTreeMap<u32, String>,
+    ) -> Result<(), StoreError> {
+        let sql = "INSERT OR IGNORE INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
+                   SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE EXISTS (SELECT 1 FROM parses WHERE id = ?1)";
+        let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
+        for (id, name) in names {
+            sqlx::query(sql)
+                .bind(parse_id)
+                .bind(model)
+                .bind(prompt_version)
+                .bind(id)
+                .bind(name)
+                .bind(now())
+                .execute(&mut *tx)
+                .await?;
+        }
+        Ok(tx.commit().await?)
+    }
+
+    /// What was spent on a day, US dollars.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn spent_on(&self, day: &str) -> Result<f64, StoreError> {
+        let usd: Option<f64> = sqlx::query_scalar("SELECT usd FROM spending WHERE day = ?")
+            .bind(day)
+            .fetch_optional(&self.reader)
+            .await?;
+        Ok(usd.unwrap_or(0.0))
+    }
+
+    /// Notes what has been spent on a day until now; an older, smaller sum that arrives late changes nothing.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn set_spent_on(&self, day: &str, usd: f64) -> Result<(), StoreError> {
+        let sql = "INSERT INTO spending (day, usd) VALUES (?1, ?2) ON CONFLICT (day) DO UPDATE SET usd = max(usd, ?2)";
+        sqlx::query(sql).bind(day).bind(usd).execute(&self.writer).await?;
+        Ok(())
+    }
+}
