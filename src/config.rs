@@ -15,6 +15,9 @@ const DEFAULT_MAX_UPLOAD_BYTES: u64 = 16 << 30;
 const DEFAULT_MAX_QUEUED_JOBS: u32 = 100;
 const DEFAULT_MAX_CONCURRENT_QUESTIONS: u32 = 32;
 const DEFAULT_VLM_CONCURRENCY: u32 = 8;
+const DEFAULT_VLM_TIMEOUT_S: u64 = 300;
+const DEFAULT_VLM_ATTEMPTS: u32 = 5;
+const DEFAULT_VLM_BACKOFF_MS: u64 = 1000;
 const DEFAULT_KEEP_EVIDENCE_DAYS: u32 = 30;
 
 /// `uniground serve`
@@ -53,7 +56,7 @@ pub struct AccessConfig {
 
 /// A vision-language model behind an OpenAI-compatible chat endpoint. Its key is in UNIGROUND_VLM_API_KEY or in a file.
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
-#[derive(Debug, Clone, Default, clap::Args)]
+#[derive(Debug, Clone, clap::Args)]
 pub struct VlmConfig {
     /// Address of a chat endpoint, like <https://host/v1>
     #[arg(long, env = "UNIGROUND_VLM_URL", value_name = "URL")]
@@ -76,9 +79,36 @@ pub struct VlmConfig {
     /// Requests to the endpoint at once
     #[arg(long, env = "UNIGROUND_VLM_CONCURRENCY", default_value_t = DEFAULT_VLM_CONCURRENCY, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub vlm_concurrency: u32,
+    /// Seconds one attempt may take
+    #[arg(long, env = "UNIGROUND_VLM_TIMEOUT_S", default_value_t = DEFAULT_VLM_TIMEOUT_S, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..=3600))]
+    pub vlm_timeout_s: u64,
+    /// Attempts for one call; the wait between them doubles
+    #[arg(long, env = "UNIGROUND_VLM_ATTEMPTS", default_value_t = DEFAULT_VLM_ATTEMPTS, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=20))]
+    pub vlm_attempts: u32,
+    /// The first wait between two attempts, milliseconds
+    #[arg(long, env = "UNIGROUND_VLM_BACKOFF_MS", default_value_t = DEFAULT_VLM_BACKOFF_MS, value_name = "MS")]
+    pub vlm_backoff_ms: u64,
     /// Ask for answers as JSON by a schema, where the endpoint knows schemas
     #[arg(long, env = "UNIGROUND_VLM_JSON")]
     pub vlm_json: bool,
+}
+
+impl Default for VlmConfig {
+    fn default() -> Self {
+        Self {
+            vlm_url: None,
+            vlm_model: None,
+            vlm_api_key_file: None,
+            vlm_prompt_usd: 0.0,
+            vlm_completion_usd: 0.0,
+            vlm_daily_usd: None,
+            vlm_concurrency: DEFAULT_VLM_CONCURRENCY,
+            vlm_timeout_s: DEFAULT_VLM_TIMEOUT_S,
+            vlm_attempts: DEFAULT_VLM_ATTEMPTS,
+            vlm_backoff_ms: DEFAULT_VLM_BACKOFF_MS,
+            vlm_json: false,
+        }
+    }
 }
 
 impl VlmConfig {
@@ -87,8 +117,7 @@ impl VlmConfig {
     /// # Errors
     /// An address without a model or the other way round, an address that is none, or an unreadable key file.
     pub fn client(&self, tape: Tape) -> anyhow::Result<Option<ChatClient>> {
-        let Self { vlm_url, vlm_model, vlm_api_key_file, vlm_prompt_usd, vlm_completion_usd, vlm_daily_usd, vlm_concurrency, vlm_json: _ } =
-            self;
+        let Self { vlm_url, vlm_model, vlm_api_key_file, vlm_prompt_usd, vlm_completion_usd, vlm_daily_usd, .. } = self;
         let (base_url, model) = match (vlm_url, vlm_model) {
             (None, None) => return Ok(None),
             (Some(url), Some(model)) => (url.clone(), model.clone()),
@@ -111,11 +140,14 @@ impl VlmConfig {
         let is_free = *vlm_prompt_usd == 0.0 && *vlm_completion_usd == 0.0;
         ensure!(!is_free || vlm_daily_usd.is_none(), "--vlm-daily-usd needs --vlm-prompt-usd and --vlm-completion-usd");
         let prices = Prices { prompt_usd: *vlm_prompt_usd, completion_usd: *vlm_completion_usd };
-        Ok(Some(ChatClient::new(
-            Endpoint { base_url, model, api_key, prices, concurrency: (*vlm_concurrency).max(1) as usize },
-            Patience::default(),
-            tape,
-        )))
+        let patience = Patience {
+            timeout: Duration::from_secs(self.vlm_timeout_s),
+            attempts: self.vlm_attempts,
+            backoff: Duration::from_millis(self.vlm_backoff_ms),
+            ..Patience::default()
+        };
+        let endpoint = Endpoint { base_url, model, api_key, prices, concurrency: self.vlm_concurrency as usize };
+        Ok(Some(ChatClient::new(endpoint, patience, tape)))
     }
 }
 

@@ -1,63 +1,16 @@
 //! A chat model reads the questions: a scripted OpenAI-compatible server on loopback plays the model.
 
+use crate::script::{Script, Scripted, fails, says};
 use crate::server::{TestServer, ask};
-use axum::Json;
-use axum::extract::State;
-use axum::http::{HeaderMap, StatusCode};
-use axum::response::IntoResponse;
-use axum::routing::post;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::{Value, json};
 use std::fs;
 use std::process::{Command, Output};
-use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use uniground::client::ClientError;
 use uniground::config::{LimitsConfig, VlmConfig};
 use uniground::models::chat::{ChatClient, ChatError, ChatRequest, Endpoint, Part, Patience, Prices, Tape};
-use uniground::service::{GroundRequest, ParserChoice};
-
-/// The authorisation and the body of a request.
-type Asked = (Option<String>, Value);
-
-/// What the model is told to answer next, and what it was asked.
-#[derive(Clone, Default)]
-struct Script {
-    answers: Arc<Mutex<Vec<(u16, Value)>>>,
-    asked: Arc<Mutex<Vec<Asked>>>,
-}
-
-impl Script {
-    /// Serves these answers in order, the last one for ever. Returns the base address.
-    async fn serve(&self, answers: Vec<(u16, Value)>) -> String {
-        *self.answers.lock().unwrap() = answers;
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let address = listener.local_addr().unwrap();
-        let router = axum::Router::new().route("/v1/chat/completions", post(complete)).with_state(self.clone());
-        tokio::spawn(async move { axum::serve(listener, router).await });
-        format!("http://{address}/v1")
-    }
-
-    fn calls(&self) -> usize {
-        self.asked.lock().unwrap().len()
-    }
-}
-
-async fn complete(State(script): State<Script>, headers: HeaderMap, Json(body): Json<Value>) -> impl IntoResponse {
-    let key = headers.get("authorization").map(|v| v.to_str().unwrap().to_owned());
-    script.asked.lock().unwrap().push((key, body));
-    let mut answers = script.answers.lock().unwrap();
-    let (status, answer) = if answers.len() > 1 { answers.remove(0) } else { answers[0].clone() };
-    (StatusCode::from_u16(status).unwrap(), Json(answer))
-}
-
-/// A completion with this text.
-fn says(text: &str) -> (u16, Value) {
-    (
-        200,
-        json!({"choices": [{"message": {"role": "assistant", "content": text}}], "usage": {"prompt_tokens": 700, "completion_tokens": 40}}),
-    )
-}
+use uniground::service::{GroundRequest, ParserChoice, ReasonerChoice};
 
 fn quick() -> Patience {
     Patience { backoff: Duration::from_millis(1), longest_wait: Duration::from_millis(5), ..Patience::default() }
@@ -78,9 +31,9 @@ fn question(text: &str) -> ChatRequest {
 
 #[tokio::test]
 async fn what_may_pass_is_tried_again_what_will_not_is_told() {
-    let busy = || (429, json!({"error": {"message": "slow down"}}));
+    let busy = || fails(429, "slow down");
     let script = Script::default();
-    let url = script.serve(vec![busy(), (503, json!({})), says("fine")]).await;
+    let url = script.serve(vec![busy(), fails(503, ""), says("fine")]).await;
     let reply = client(url, Tape::None).ask(&question("a")).await.unwrap();
     assert_eq!((reply.text.as_str(), reply.attempts, reply.prompt_tokens), ("fine", 3, 700));
     assert_eq!(script.asked.lock().unwrap()[0].0.as_deref(), Some("Bearer sk-secret-key"));
@@ -97,7 +50,7 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
 
     // A wrong key is wrong at once, and is not repeated in the message.
     let script = Script::default();
-    let url = script.serve(vec![(401, json!({"error": {"message": "bad key"}}))]).await;
+    let url = script.serve(vec![fails(401, "bad key")]).await;
     let error = client(url, Tape::None).ask(&question("a")).await.unwrap_err();
     assert!(!format!("{error:?} {error}").contains("sk-secret") && script.calls() == 1, "{error:?}");
 }
@@ -105,15 +58,13 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
 #[tokio::test]
 async fn a_server_that_knows_no_schemas_is_asked_without() {
     let script = Script::default();
-    let url = script
-        .serve(vec![(400, json!({"error": {"message": "unknown field response_format"}})), says("{}")])
-        .await;
+    let url = script.serve(vec![fails(400, "unknown field response_format"), says("{}")]).await;
     client(url, Tape::None).ask(&question("a")).await.unwrap();
     let asked = script.asked.lock().unwrap();
     assert!(asked[0].1.get("response_format").is_some() && asked[1].1.get("response_format").is_none());
 }
 
-fn reads_mug() -> (u16, Value) {
+fn reads_mug() -> Scripted {
     let relation = json!([{"kind": "on", "words": "on", "anchors": [{"noun": "coffee table"}]}]);
     says(&json!({"target": {"noun": "mug", "relations": relation}}).to_string())
 }
@@ -121,9 +72,7 @@ fn reads_mug() -> (u16, Value) {
 #[tokio::test]
 async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
     let script = Script::default();
-    let url = script
-        .serve(vec![reads_mug(), says("I would rather not."), (400, json!({"error": {"message": "no"}}))])
-        .await;
+    let url = script.serve(vec![reads_mug(), says("I would rather not."), fails(400, "no")]).await;
     let vlm = VlmConfig {
         vlm_url: Some(url),
         vlm_model: Some("scripted".into()),
@@ -135,11 +84,12 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
     let scene = server
         .parsed(fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap())
         .await;
-    let with_model = |query: &str| GroundRequest { parser: ParserChoice::Vlm, ..ask(query) };
+    let with_model = |query: &str| GroundRequest { parser: ParserChoice::Vlm, reasoner: ReasonerChoice::Builtin, ..ask(query) };
 
     // The words mean nothing to the grammar; the model has read them.
     let answer = server.client.ground(&scene.id, &with_model("der Becher auf dem Couchtisch")).await.unwrap();
-    let plain = server.client.ground(&scene.id, &ask("the mug on the coffee table")).await.unwrap();
+    let builtin = GroundRequest { reasoner: ReasonerChoice::Builtin, ..ask("the mug on the coffee table") };
+    let plain = server.client.ground(&scene.id, &builtin).await.unwrap();
     assert_eq!((answer.answer.predicted_id, &answer.parsed_query.target), (plain.answer.predicted_id, &"mug".to_owned()));
     assert_eq!((answer.usage.vlm_calls, answer.usage.prompt_tokens, answer.usage.completion_tokens), (1, 700, 40));
     assert!((answer.usage.cost_usd - (700.0 * 2.0 + 40.0 * 8.0) / 1e6).abs() < 1e-12, "{:?}", answer.usage);

@@ -1,0 +1,106 @@
+//! A scripted OpenAI-compatible server on loopback plays the model.
+
+use axum::Json;
+use axum::body::Body;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::{IntoResponse, Response};
+use axum::routing::post;
+use futures::stream;
+use serde_json::{Value, json};
+use std::convert::Infallible;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+use tokio::time::sleep;
+use tokio_util::sync::{CancellationToken, DropGuard};
+
+/// The authorisation and the body of a request.
+pub type Asked = (Option<String>, Value);
+
+/// One answer of the script.
+#[derive(Debug, Clone)]
+pub enum Scripted {
+    Json(u16, Value),
+    /// With a header `Retry-After`.
+    After(u16, &'static str),
+    Text(String),
+    /// A body that goes on for ever, and fast.
+    Flood,
+    /// A body of which the next byte never comes.
+    Stall,
+}
+
+/// What the model is told to answer next, and what it was asked.
+#[derive(Clone, Default)]
+pub struct Script {
+    answers: Arc<Mutex<Vec<Scripted>>>,
+    pub asked: Arc<Mutex<Vec<Asked>>>,
+    /// Cancelled when a caller leaves a stalled answer.
+    pub left: CancellationToken,
+}
+
+impl Script {
+    /// Serves these answers in order, the last one for ever. Returns the base address.
+    pub async fn serve(&self, answers: Vec<Scripted>) -> String {
+        self.next(answers);
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        let router = axum::Router::new()
+            .route("/v1/chat/completions", post(complete))
+            .layer(axum::extract::DefaultBodyLimit::disable())
+            .with_state(self.clone());
+        tokio::spawn(async move { axum::serve(listener, router).await });
+        format!("http://{address}/v1")
+    }
+
+    /// What is answered from now on.
+    pub fn next(&self, answers: Vec<Scripted>) {
+        *self.answers.lock().unwrap() = answers;
+    }
+
+    pub fn calls(&self) -> usize {
+        self.asked.lock().unwrap().len()
+    }
+
+    /// The bodies of all requests since the last look.
+    pub fn take(&self) -> Vec<Value> {
+        self.asked.lock().unwrap().drain(..).map(|(_, body)| body).collect()
+    }
+}
+
+async fn complete(State(script): State<Script>, headers: HeaderMap, Json(body): Json<Value>) -> Response {
+    let key = headers.get("authorization").map(|v| v.to_str().unwrap().to_owned());
+    script.asked.lock().unwrap().push((key, body));
+    let answer = {
+        let mut answers = script.answers.lock().unwrap();
+        if answers.len() > 1 { answers.remove(0) } else { answers[0].clone() }
+    };
+    match answer {
+        Scripted::Json(status, answer) => (StatusCode::from_u16(status).unwrap(), Json(answer)).into_response(),
+        Scripted::After(status, wait) => (StatusCode::from_u16(status).unwrap(), [("retry-after", wait)], "later").into_response(),
+        Scripted::Text(text) => text.into_response(),
+        Scripted::Flood => {
+            let chunk = vec![b' '; 1 << 16];
+            Body::from_stream(stream::repeat_with(move || Ok::<_, Infallible>(chunk.clone()))).into_response()
+        }
+        Scripted::Stall => {
+            let guard = script.left.clone().drop_guard();
+            let never = stream::unfold(guard, |guard: DropGuard| async {
+                sleep(Duration::from_secs(3600)).await;
+                Some((Ok::<_, Infallible>(Vec::new()), guard))
+            });
+            let first = stream::once(async { Ok(b"{".to_vec()) });
+            Body::from_stream(futures::StreamExt::chain(first, never)).into_response()
+        }
+    }
+}
+
+/// A completion with this text.
+pub fn says(text: &str) -> Scripted {
+    let usage = json!({"prompt_tokens": 700, "completion_tokens": 40});
+    Scripted::Json(200, json!({"choices": [{"message": {"role": "assistant", "content": text}}], "usage": usage}))
+}
+
+pub fn fails(status: u16, message: &str) -> Scripted {
+    Scripted::Json(status, json!({"error": {"message": message}}))
+}

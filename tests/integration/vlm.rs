@@ -1,0 +1,458 @@
+//! A vision-language model decides: a scripted OpenAI-compatible server on loopback plays it, well and badly.
+
+use crate::script::{Script, Scripted, fails, says};
+use crate::server::{TestServer, ask, finished, problem};
+use serde_json::{Value, json};
+use std::fs;
+use std::time::Duration;
+use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
+use uniground::grounding::Status;
+use uniground::jobs::Job;
+use uniground::service::{Ablation, Answer, EvidenceMode, GroundRequest, PromptPart, ReasonerChoice};
+
+const QUERY: &str = "the mug on the coffee table";
+
+fn sample() -> Vec<u8> {
+    fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap()
+}
+
+/// A model that is given up on quickly.
+fn config(url: &str) -> VlmConfig {
+    VlmConfig {
+        vlm_url: Some(url.to_owned()),
+        vlm_model: Some("scripted".into()),
+        vlm_prompt_usd: 2.0,
+        vlm_completion_usd: 8.0,
+        vlm_timeout_s: 2,
+        vlm_backoff_ms: 1,
+        ..VlmConfig::default()
+    }
+}
+
+async fn start(vlm: VlmConfig) -> (TestServer, String) {
+    let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
+    let scene = server.parsed(sample()).await.id;
+    (server, scene)
+}
+
+fn by(reasoner: ReasonerChoice) -> GroundRequest {
+    GroundRequest { reasoner, ..ask(QUERY) }
+}
+
+/// What the geometry alone says: its candidates are the model's.
+async fn builtin(server: &TestServer, scene: &str) -> Answer {
+    server.client.ground(scene, &by(ReasonerChoice::Builtin)).await.unwrap()
+}
+
+fn six_lines(id: impl std::fmt::Display, names: &str, matches: bool, anchor: u32) -> Scripted {
+    says(&format!(
+        "Predicted ID: {id}\nExplanation: it is red and on the table\nCandidate Names: {names}\nTarget name matches?: {matches}\n\
+         Anchor ID: {anchor}\nRelation used: on the coffee table"
+    ))
+}
+
+/// All texts of a request's user message.
+fn text_of(body: &Value) -> String {
+    let parts = body["messages"][1]["content"].as_array().unwrap();
+    parts.iter().filter_map(|part| part["text"].as_str()).collect()
+}
+
+fn pictures_of(body: &Value) -> usize {
+    let parts = body["messages"][1]["content"].as_array().unwrap();
+    let pictures: Vec<&str> = parts.iter().filter_map(|part| part["image_url"]["url"].as_str()).collect();
+    assert!(pictures.iter().all(|url| url.starts_with("data:image/jpeg;base64,/9j/")));
+    pictures.len()
+}
+
+fn purposes(answer: &Answer) -> Vec<String> {
+    answer.trace.as_ref().unwrap().calls.iter().map(|call| call.purpose.clone()).collect()
+}
+
+fn corrections(answer: &Answer) -> String {
+    answer.trace.as_ref().unwrap().corrections.join("\n")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_model_decides_and_everything_can_be_looked_up() {
+    let script = Script::default();
+    let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
+    let plain = builtin(&server, &scene).await;
+    assert_eq!((plain.models.reasoner.as_str(), script.calls()), ("builtin-2", 0));
+    let ids: Vec<u32> = plain.candidates.as_ref().unwrap().iter().map(|c| c.id.0).collect();
+    // Another than the geometry's choice.
+    let (chosen, anchor) = (ids[1], plain.answer.anchor_id.unwrap().0);
+    script.next(vec![six_lines(chosen, &format!("{chosen} -> small red mug, 4711 -> ghost"), true, anchor)]);
+
+    let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();
+    assert_eq!((answer.status, answer.answer.predicted_id.map(|id| id.0)), (Status::Grounded, Some(chosen)));
+    assert_eq!(answer.aabb, Some(answer.candidates.as_ref().unwrap()[1].aabb));
+    assert!(answer.oriented_box.is_some() && answer.confidence > 0.6);
+    assert_eq!(answer.answer.candidate_names[&chosen], "small red mug");
+    assert!(!answer.answer.candidate_names.contains_key(&4711));
+    assert_eq!(answer.answer.relation_used.as_deref(), Some("on the coffee table"));
+    assert_eq!((answer.answer.anchor_id.map(|id| id.0), answer.answer.target_name_matches), (Some(anchor), Some(true)));
+    assert_eq!((answer.models.reasoner.as_str(), answer.degraded), ("scripted (prompt 1)", false));
+    assert_eq!((answer.usage.vlm_calls, answer.usage.prompt_tokens), (1, 700));
+    assert!((answer.usage.cost_usd - (700.0 * 2.0 + 40.0 * 8.0) / 1e6).abs() < 1e-12);
+    assert_eq!(purposes(&answer), ["spatial"]);
+    assert!(answer.timings_ms.evidence > 0.0 && answer.timings_ms.total >= answer.timings_ms.evidence + answer.timings_ms.reason - 1.0);
+
+    // What was sent: a render and one collage for every candidate, then the words; nothing that sets temperature or length.
+    let sent = script.take().remove(0);
+    assert_eq!(pictures_of(&sent), 1 + answer.candidates.as_ref().unwrap().len());
+    assert!(sent.get("temperature").is_none() && sent.get("max_tokens").is_none() && sent.get("stream").is_none());
+    assert!(text_of(&sent).ends_with(&format!("Query: {QUERY}")));
+
+    // What is kept is what was sent.
+    let prompt = server.client.answer_prompt(&answer.id).await.unwrap();
+    assert_eq!((prompt.model.as_str(), prompt.calls.len()), ("scripted", 1));
+    let texts: String = prompt.calls[0]
+        .user
+        .iter()
+        .filter_map(|p| if let PromptPart::Text { text } = p { Some(text.as_str()) } else { None })
+        .collect();
+    assert_eq!(texts, text_of(&sent));
+    let shown: Vec<&str> = prompt.calls[0]
+        .user
+        .iter()
+        .filter_map(|p| if let PromptPart::Picture { href } = p { Some(href.as_str()) } else { None })
+        .collect();
+    assert_eq!(shown.len(), pictures_of(&sent));
+    for (href, part) in shown.iter().zip(sent["messages"][1]["content"].as_array().unwrap()) {
+        use base64::Engine;
+        let bytes = server.client.bytes(href).await.unwrap();
+        let url = format!("data:image/jpeg;base64,{}", base64::engine::general_purpose::STANDARD.encode(&bytes));
+        assert_eq!(part["image_url"]["url"].as_str(), Some(url.as_str()), "{href}");
+        assert!(image::load_from_memory(&bytes).is_ok());
+    }
+    assert_eq!(answer.evidence.as_ref().unwrap().len(), shown.len());
+    let reply = server.client.answer_reply(&answer.id).await.unwrap();
+    assert!(reply.calls[0].text.as_ref().unwrap().starts_with(&format!("Predicted ID: {chosen}")));
+    assert_eq!(server.client.answer(&answer.id).await.unwrap().answer, answer.answer);
+
+    // An answer of the geometry has a picture and no prompt.
+    assert!(server.client.bytes(&format!("v1/answers/{}/evidence/global.jpg", plain.id)).await.is_ok());
+    let error = problem(server.client.answer_prompt(&plain.id).await);
+    assert_eq!((error.status, error.code.as_str()), (404, "no_transcript"));
+    for name in ["candidate-4711.jpg", "prompt.json", "..%2Fprompt.jpg", "global.png"] {
+        let error = problem(server.client.bytes(&format!("v1/answers/{}/evidence/{name}", answer.id)).await);
+        assert_eq!((error.status, error.code.as_str()), (404, "answer_picture_not_found"), "{name}");
+    }
+    // With the scene everything goes.
+    assert_eq!(server.stored("blobs/answers"), [answer.id.clone()]);
+    server.client.delete_scene(&scene).await.unwrap();
+    assert!(server.stored("blobs/answers").is_empty());
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_does_not_hold_together_is_asked_again() {
+    let script = Script::default();
+    let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
+    let plain = builtin(&server, &scene).await;
+    let ids: Vec<u32> = plain.candidates.as_ref().unwrap().iter().map(|c| c.id.0).collect();
+    let (first, second) = (ids[0], ids[1]);
+    let named = format!("{first} -> red mug, {second} -> white wall panel");
+    let good = || six_lines(first, &named, true, 1);
+    let grounded = async |answers: Vec<Scripted>| {
+        script.take();
+        script.next(answers);
+        server.client.ground(&scene, &ask(QUERY)).await.unwrap()
+    };
+
+    // An id that is no candidate: asked again with the same pictures, told what was wrong.
+    let answer = grounded(vec![six_lines(4711, &named, true, 1), good()]).await;
+    assert_eq!(
+        (purposes(&answer), answer.answer.predicted_id.map(|id| id.0)),
+        (vec!["spatial".into(), "out_of_set".into()], Some(first))
+    );
+    let sent = script.take();
+    assert!(text_of(&sent[1]).contains("ID 4711, which is no candidate") && pictures_of(&sent[1]) == pictures_of(&sent[0]));
+    assert!(corrections(&answer).contains("4711") && !answer.degraded && answer.usage.prompt_tokens == 1400);
+
+    // Something that can not be read; two ids; nothing at all.
+    for (text, why) in
+        [("I would say the mug.", "no \"Predicted ID\""), ("Predicted ID: 3 or 5", "both 3 and 5"), ("", "no \"Predicted ID\"")]
+    {
+        let answer = grounded(vec![says(text), good()]).await;
+        assert_eq!(purposes(&answer), ["spatial", "unreadable"], "{text}");
+        assert!(corrections(&answer).contains(why), "{}", corrections(&answer));
+    }
+
+    // A name that speaks against the choice: asked again with the render and the images of what was chosen.
+    let answer = grounded(vec![six_lines(second, &named, true, 1), good()]).await;
+    assert_eq!(
+        (purposes(&answer), answer.answer.predicted_id.map(|id| id.0)),
+        (vec!["spatial".into(), "inconsistent".into()], Some(first))
+    );
+    let sent = script.take();
+    assert!(
+        text_of(&sent[1]).contains("it is named \"white wall panel\"") && pictures_of(&sent[1]) == 2,
+        "{}",
+        text_of(&sent[1])
+    );
+    // It stays with its choice: that is its answer.
+    let answer = grounded(vec![six_lines(second, &named, true, 1)]).await;
+    assert_eq!((purposes(&answer).len(), answer.answer.predicted_id.map(|id| id.0)), (2, Some(second)));
+    assert!(answer.confidence < 0.7 && !answer.degraded);
+
+    // Three times outside of the set: projected, told, degraded.
+    let answer = grounded(vec![six_lines(4711, "", true, 1)]).await;
+    assert_eq!((purposes(&answer).len(), script.calls(), answer.degraded), (3, 3, true));
+    assert_eq!(answer.answer.predicted_id.map(|id| id.0), Some(first));
+    assert!(corrections(&answer).contains("the model never chose a candidate"), "{}", corrections(&answer));
+
+    // Nothing fits: no box.
+    let answer = grounded(vec![six_lines("none", &named, false, 1)]).await;
+    assert_eq!((answer.status, answer.aabb, purposes(&answer).len()), (Status::NoMatch, None, 1));
+
+    // The second call fails: the first answer is what there is.
+    let answer = grounded(vec![six_lines(second, &named, true, 1), fails(401, "the key has expired")]).await;
+    assert_eq!((answer.answer.predicted_id.map(|id| id.0), answer.degraded), (Some(second), false));
+    assert!(
+        corrections(&answer).contains("asking again failed") && answer.trace.unwrap().calls[1].error.as_ref().unwrap().contains("expired")
+    );
+
+    // Content as a list of parts; a reply of a megabyte.
+    let parts = json!({"choices": [{"message": {"content": [{"type": "text", "text": "Predicted ID: "}, {"type": "text", "text": first.to_string()}]}}]});
+    assert_eq!(grounded(vec![Scripted::Json(200, parts)]).await.answer.predicted_id.map(|id| id.0), Some(first));
+    let noise = "lorem ipsum ".repeat(90_000);
+    let answer =
+        grounded(vec![says(&format!("{noise}\nPredicted ID: {first}\nExplanation: {noise}\nAnchor ID: 1\nRelation used: on"))]).await;
+    assert_eq!(answer.answer.predicted_id.map(|id| id.0), Some(first));
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
+    let script = Script::default();
+    let url = script.serve(vec![says("-")]).await;
+    let (server, scene) = start(config(&url)).await;
+    let plain = builtin(&server, &scene).await;
+    // What happens, how often it is tried, and what is told.
+    for (answers, attempts, told) in [
+        (vec![fails(401, "bad key")], 1, "401 Unauthorized: bad key"),
+        (vec![fails(404, "no such model")], 1, "no such model"),
+        (vec![fails(500, "oops")], 5, "500 Internal Server Error: oops"),
+        (vec![Scripted::After(429, "0")], 5, "429"),
+        (vec![Scripted::Text("<html>".into())], 5, "no chat completion"),
+        (vec![Scripted::Json(200, json!({"object": "chat.completion"}))], 5, "missing field `choices`"),
+        (vec![Scripted::Json(200, json!({"choices": []}))], 5, "there is no choice"),
+        (vec![Scripted::Flood], 1, "longer than"),
+    ] {
+        script.take();
+        script.next(answers);
+        let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+        assert_eq!(
+            (error.status, error.code.as_str(), script.calls()),
+            (502, "vlm_unavailable", attempts),
+            "{told}: {}",
+            error.detail
+        );
+        assert!(
+            error.detail.contains(told) && error.detail.contains(&format!("in {attempts} attempts")),
+            "{told}: {}",
+            error.detail
+        );
+
+        let answer = server.client.ground(&scene, &by(ReasonerChoice::Auto)).await.unwrap();
+        assert!(answer.degraded && answer.models.reasoner == "builtin-2" && answer.answer == plain.answer, "{told}");
+        assert!(corrections(&answer).contains(told), "{}", corrections(&answer));
+        let call = &answer.trace.unwrap().calls[0];
+        assert_eq!((call.attempts as usize, call.error.as_ref().is_some_and(|e| e.contains(told))), (attempts, true), "{told}");
+        assert_eq!(answer.usage.vlm_calls, 0);
+        let reply = server.client.answer_reply(&answer.id).await.unwrap();
+        assert!(reply.calls[0].text.is_none() && reply.calls[0].error.as_ref().unwrap().contains(told));
+    }
+    // What is asked for is waited for.
+    script.take();
+    script.next(vec![Scripted::After(429, "1"), six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    let asked_at = std::time::Instant::now();
+    let answer = server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await.unwrap();
+    assert_eq!(answer.trace.unwrap().calls[0].attempts, 2);
+    assert!(asked_at.elapsed() >= Duration::from_secs(1));
+    server.stop().await;
+
+    // Nobody there; somebody who does not speak TLS; a body whose end never comes.
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    for (url, script_next, told) in [
+        (format!("http://127.0.0.1:{port}/v1"), says("-"), "refused"),
+        (url.replace("http://", "https://"), says("-"), "can not be reached"),
+        (url.clone(), Scripted::Stall, "timed out"),
+    ] {
+        script.next(vec![script_next]);
+        let (server, scene) = start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
+        let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+        assert_eq!((error.status, error.code.as_str()), (502, "vlm_unavailable"));
+        assert!(error.detail.contains(told) && error.detail.contains("in 2 attempts"), "{told}: {}", error.detail);
+        assert!(server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
+        server.stop().await;
+    }
+    // No model at all: who insists is told, who does not gets the geometry's answer, undiminished.
+    let (server, scene) = start(VlmConfig::default()).await;
+    let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+    assert_eq!((error.status, error.code.as_str()), (502, "vlm_unavailable"));
+    assert!(!server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
+    assert_eq!(problem(server.client.name_instances(&scene).await).code, "vlm_unavailable");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn money_ends() {
+    let script = Script::default();
+    let url = script.serve(vec![says("-")]).await;
+    // 700 and 40 tokens at 1000 and 5000 dollars a million: 0.9 dollars a call, thought to be several before it is made.
+    let dear = VlmConfig { vlm_prompt_usd: 1000.0, vlm_completion_usd: 5000.0, vlm_daily_usd: Some(12.0), ..config(&url) };
+    let (server, scene) = start(dear.clone()).await;
+    let plain = builtin(&server, &scene).await;
+    script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    let limited = |reasoner, usd| GroundRequest { max_cost_usd: Some(usd), ..by(reasoner) };
+
+    // Nothing may be spent: nobody is asked.
+    assert!(!server.client.ground(&scene, &limited(ReasonerChoice::Auto, 0.0)).await.unwrap().degraded);
+    let error = problem(server.client.ground(&scene, &limited(ReasonerChoice::Vlm, 0.0)).await);
+    assert_eq!((error.status, error.code.as_str(), script.calls()), (402, "budget_spent", 0));
+    // Too little for one call.
+    let error = problem(server.client.ground(&scene, &limited(ReasonerChoice::Vlm, 0.5)).await);
+    assert_eq!((error.status, error.code.as_str(), script.calls()), (402, "budget_spent", 0));
+    assert!(error.detail.contains("this question"), "{}", error.detail);
+    let answer = server.client.ground(&scene, &limited(ReasonerChoice::Auto, 0.5)).await.unwrap();
+    assert!(answer.degraded && corrections(&answer).contains("budget of this question"));
+
+    // The day's money is spent call by call, also by a server that starts again.
+    let mut paid = 0;
+    while server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await.is_ok() {
+        paid += 1;
+        assert!(paid < 20, "the day's budget never ends");
+    }
+    assert!(paid >= 1 && script.calls() == paid);
+    let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();
+    assert!(answer.degraded && corrections(&answer).contains("budget of today"), "{}", corrections(&answer));
+    let data = server.give_back().await;
+    let server = TestServer::start_on(data, LimitsConfig::default(), dear, ModelsConfig::default()).await;
+    let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+    assert_eq!((error.code.as_str(), script.calls()), ("budget_spent", paid));
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn names_are_asked_for_once() {
+    let script = Script::default();
+    let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
+    let plain = builtin(&server, &scene).await;
+    let ids: Vec<u32> = plain.candidates.as_ref().unwrap().iter().map(|c| c.id.0).collect();
+    let named = ids.iter().map(|id| format!("{id} -> red thing number {id}")).collect::<Vec<_>>().join("\n");
+    let cached = || GroundRequest { evidence: EvidenceMode::CachedNames, ..ask(QUERY) };
+    script.next(vec![says(&named), six_lines(ids[0], "", true, 1)]);
+    let answer = server.client.ground(&scene, &cached()).await.unwrap();
+    assert_eq!(purposes(&answer), ["naming", "spatial"]);
+    let sent = script.take();
+    assert!(pictures_of(&sent[0]) == 1 && !text_of(&sent[0]).contains("mug"), "names do not know the question");
+    assert!(text_of(&sent[1]).contains(&format!("\"red thing number {}\"", ids[0])));
+    assert!(pictures_of(&sent[1]) < 1 + ids.len());
+    // Again: nobody is asked for names; and they can be looked up.
+    script.next(vec![six_lines(ids[0], "", true, 1)]);
+    assert_eq!(purposes(&server.client.ground(&scene, &cached()).await.unwrap()), ["spatial"]);
+    let instances = server.client.all_instances(&scene).await.unwrap();
+    let of = |id: u32| instances.iter().find(|i| i.id.0 == id).unwrap().model_name.clone();
+    assert_eq!(of(ids[0]), Some(format!("red thing number {}", ids[0])));
+    assert!(instances.iter().any(|i| i.model_name.is_none()));
+
+    // All the others, up front, in the background.
+    let names_all = |ids: &[u32]| says(&ids.iter().map(|id| format!("{id}: some thing")).collect::<Vec<_>>().join("\n"));
+    let all: Vec<u32> = instances.iter().map(|i| i.id.0).collect();
+    script.next(vec![names_all(&all)]);
+    script.take();
+    let job = finished(&server.client, &server.client.name_instances(&scene).await.unwrap().id).await;
+    assert_eq!((job.kind.as_str(), job.error.clone()), ("naming", None), "{job:?}");
+    let calls = script.calls();
+    let objects = instances.iter().filter(|i| i.structure.is_none()).count();
+    assert_eq!(calls, (objects - ids.len()).div_ceil(12));
+    let instances = server.client.all_instances(&scene).await.unwrap();
+    assert!(instances.iter().all(|i| i.model_name.is_some() || i.structure.is_some()));
+    assert_eq!(instances.iter().find(|i| i.id.0 == ids[0]).unwrap().model_name, Some(format!("red thing number {}", ids[0])));
+    let again: Job = finished(&server.client, &server.client.name_instances(&scene).await.unwrap().id).await;
+    assert!(again.error.is_none() && script.calls() == calls, "nothing is paid for twice");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ablations_leave_out_what_they_say() {
+    let script = Script::default();
+    let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
+    let plain = builtin(&server, &scene).await;
+    let count = plain.candidates.as_ref().unwrap().len().max(5);
+    script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    for (ablation, pictures, says_first) in [
+        (Ablation::Full, 1 + count, "Image 1 is a global render"),
+        (Ablation::NoGlobal, count, "Images 1 to"),
+        (Ablation::NoCandidate, 1, "Image 1 is a global render"),
+        (Ablation::SimplePrompt, 1 + count, "Query: "),
+    ] {
+        script.take();
+        server.client.ground(&scene, &GroundRequest { ablation, ..ask(QUERY) }).await.unwrap();
+        let sent = script.take().remove(0);
+        assert_eq!(pictures_of(&sent), pictures, "{ablation:?}");
+        assert!(text_of(&sent).starts_with(says_first), "{ablation:?}: {}", text_of(&sent));
+    }
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_caller_who_leaves_stops_the_call() {
+    let script = Script::default();
+    let url = script.serve(vec![Scripted::Stall]).await;
+    let (server, scene) = start(VlmConfig { vlm_timeout_s: 300, ..config(&url) }).await;
+    let client = reqwest::Client::new();
+    let request = client.post(format!("{}/v1/scenes/{scene}/ground", server.url())).json(&by(ReasonerChoice::Vlm));
+    let asked = tokio::time::timeout(Duration::from_secs(3), request.send()).await;
+    assert!(asked.is_err() && script.calls() == 1, "the model stalls");
+    // Dropping the request has closed its connection, and the service the model's.
+    tokio::time::timeout(Duration::from_secs(5), script.left.cancelled()).await.unwrap();
+    // A limit of the question's own.
+    let limited = GroundRequest { timeout_s: Some(0.5), ..by(ReasonerChoice::Vlm) };
+    assert_eq!(problem(server.client.ground(&scene, &limited).await).code, "question_timed_out");
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_not_to_be_kept_is_not() {
+    let script = Script::default();
+    let vlm = config(&script.serve(vec![says("Predicted ID: none\nExplanation: x")]).await);
+    let limits = LimitsConfig { keep_evidence_days: 0, ..LimitsConfig::default() };
+    let server = TestServer::start_configured(limits, vlm).await;
+    let scene = server.parsed(sample()).await.id;
+    let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();
+    assert!(server.stored("blobs/answers").is_empty());
+    assert_eq!(problem(server.client.answer_reply(&answer.id).await).code, "no_transcript");
+    assert!(server.client.bytes(&answer.evidence.unwrap()[0]).await.is_ok(), "the room can always be drawn");
+    server.stop().await;
+}
+
+/// Nobody's key is in anything that is stored.
+#[tokio::test(flavor = "multi_thread")]
+async fn keys_are_never_stored() {
+    let script = Script::default();
+    let folder = tempfile::tempdir().unwrap();
+    let file = camino::Utf8PathBuf::from_path_buf(folder.path().join("key")).unwrap();
+    fs::write(&file, "sk-very-secret\n").unwrap();
+    let vlm = VlmConfig { vlm_api_key_file: Some(file), ..config(&script.serve(vec![fails(500, "no"), says("22")]).await) };
+    let (server, scene) = start(vlm).await;
+    server.client.ground(&scene, &ask(QUERY)).await.unwrap();
+    assert_eq!(script.asked.lock().unwrap()[0].0.as_deref(), Some("Bearer sk-very-secret"));
+    let data = server.give_back().await;
+    let mut folders = vec![camino::Utf8PathBuf::from_path_buf(data.path().to_owned()).unwrap()];
+    let mut looked_at = 0;
+    while let Some(folder) = folders.pop() {
+        for entry in folder.read_dir_utf8().unwrap().map(Result::unwrap) {
+            if entry.file_type().unwrap().is_dir() {
+                folders.push(entry.path().to_owned());
+            } else {
+                let bytes = fs::read(entry.path()).unwrap();
+                assert!(!bytes.windows(14).any(|w| w == b"sk-very-secret"), "{}", entry.path());
+                looked_at += 1;
+            }
+        }
+    }
+    assert!(looked_at > 20);
+}
