@@ -16,21 +16,21 @@ pub struct Shot {
     pub place: [f32; 4],
 }
 
-/// How large collages are. A side of 1024 x 512 is two of the 512-pixel tiles providers charge for.
+/// How large collages are. 1024 x 512 pixels are two of the tiles providers charge for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Collage {
     /// Most pixels a collage of three shots has; ones with fewer shots are narrower.
     pub max_pixels: u32,
+    /// Paper: 3.
+    pub max_shots: usize,
 }
 
 impl Default for Collage {
     fn default() -> Self {
-        Self { max_pixels: 1024 * 512 }
+        Self { max_pixels: 1024 * 512, max_shots: 3 }
     }
 }
 
-/// Shots per collage. Paper: 3.
-const MAX_SHOTS: usize = 3;
 const SHEET: Rgb<u8> = Rgb([245; 3]);
 const RED: Rgb<u8> = Rgb([230, 20, 20]);
 const TAG: Rgb<u8> = Rgb([20, 30, 60]);
@@ -44,11 +44,11 @@ impl Collage {
     #[must_use]
     pub fn draw(&self, id: u32, shots: &[Shot]) -> RgbImage {
         let height = ((self.max_pixels as f32 / 2.0).sqrt() as u32).clamp(64, 4096);
-        let shots = &shots[..shots.len().min(MAX_SHOTS)];
+        let shots = &shots[..shots.len().min(self.max_shots)];
         let cell = match shots.len() {
             0 | 1 => height,
-            2 => height.min(height * 3 / 4),
-            _ => height * 2 / MAX_SHOTS as u32,
+            2 => height * 3 / 4,
+            count => height * 2 / count as u32,
         };
         let mut sheet = RgbImage::from_pixel(cell * shots.len().max(1) as u32, height, SHEET);
         let tag_height = ((height as f32 * TAG_SHARE) as u32).max(18);
@@ -176,8 +176,10 @@ mod tests {
                 assert_eq!(collage.dimensions(), (width, 512));
             }
         }
-        let small = Collage { max_pixels: 200_000 }.draw(22, &vec![shot(640, 480); 5]);
+        let small = Collage { max_pixels: 200_000, ..Collage::default() }.draw(22, &vec![shot(640, 480); 5]);
         assert!(small.width() * small.height() <= 200_000, "{:?}", small.dimensions());
+        let single = Collage { max_shots: 1, ..Collage::default() }.draw(22, &vec![shot(640, 480); 3]);
+        assert_eq!(single.dimensions(), (512, 512));
     }
 
     /// What the model gets: letters at least 20 pixels tall with a contrast of at least 7 : 1 (WCAG AAA), and a red outline where the

@@ -36,7 +36,7 @@ impl Stored<'_> {
                 self.caches.globals.put(key, picture.clone(), picture.jpeg.len());
             }
         }
-        let key = |id: u32| format!("{} {id} {}", self.parse_id, settings.collage.max_pixels);
+        let key = |id: u32| format!("{} {id} {:?}", self.parse_id, settings.collage);
         let mut exhibits = Exhibits { global, ..Exhibits::default() };
         let mut missing = Vec::new();
         for candidate in &brief.candidates {

@@ -29,7 +29,8 @@ pub(super) struct Album {
     pub frames: Vec<FrameRef>,
     /// Where the frames lie; a temporary folder goes with it.
     _folder: Option<Unpacked>,
-    collages: Mutex<BTreeMap<u32, Picture>>,
+    /// By instance, full and frugal.
+    collages: Mutex<BTreeMap<(u32, usize), Picture>>,
     names: Mutex<BTreeMap<u32, String>>,
 }
 
@@ -136,9 +137,19 @@ impl Asker {
 
 fn exhibits(room: &Room, brief: &Brief, settings: &PictureSettings) -> Exhibits {
     let mut known = room.album.collages.lock().unwrap_or_else(PoisonError::into_inner);
-    let missing: Vec<InstanceId> = brief.candidates.iter().map(|c| c.id).filter(|id| !known.contains_key(&id.0)).collect();
+    let missing: Vec<InstanceId> = brief
+        .candidates
+        .iter()
+        .map(|c| c.id)
+        .filter(|id| !known.contains_key(&(id.0, settings.collage.max_shots)))
+        .collect();
     let shots = |id: InstanceId| room.instances.get(id.0 as usize - 1).map_or_else(Vec::new, |i| room.album.shots(i, room.scenery));
-    known.extend(collages(&missing, shots, settings.collage));
-    let of_candidates = brief.candidates.iter().filter_map(|c| Some((c.id.0, known.get(&c.id.0)?.clone())));
+    let shots_each = settings.collage.max_shots;
+    known.extend(
+        collages(&missing, shots, settings.collage)
+            .into_iter()
+            .map(|(id, picture)| ((id, shots_each), picture)),
+    );
+    let of_candidates = brief.candidates.iter().filter_map(|c| Some((c.id.0, known.get(&(c.id.0, shots_each))?.clone())));
     Exhibits { global: global(brief, room.scenery, &room.extent, &settings.global), collages: of_candidates.collect() }
 }

@@ -31,10 +31,11 @@ impl PictureSettings {
         Self { global: GlobalView::default(), collage: Collage::default() }
     }
 
-    /// Where names stand for most of the pictures: three views in three tiles.
+    /// Where names stand for most of the pictures: three views in three tiles, one photograph of a candidate in one.
     #[must_use]
     pub fn frugal() -> Self {
-        Self { global: GlobalView { view_px: 508, ..GlobalView::default() }, ..Self::full() }
+        let collage = Collage { max_shots: 1, ..Collage::default() };
+        Self { global: GlobalView { view_px: 508, ..GlobalView::default() }, collage }
     }
 }
 

@@ -20,7 +20,7 @@ pub use decision::{Decision, Outcome};
 pub use exhibits::{Exhibits, PictureSettings, collages, global};
 pub use prompt::PROMPT_VERSION;
 
-use crate::models::chat::{AskError, Picture, Session};
+use crate::models::chat::{AskError, ChatRequest, Picture, Session};
 use prompt::Correction;
 use reply::{Choice, Reply};
 use serde::{Deserialize, Serialize};
@@ -130,6 +130,13 @@ impl Options {
 }
 
 impl Conversation<'_> {
+    /// What the model is asked first about a question whose candidates have names, where names are used.
+    #[must_use]
+    pub fn first_request(&self) -> ChatRequest {
+        let names = if self.options.uses_names() { self.names.clone() } else { BTreeMap::new() };
+        prompt::spatial(self, &self.shown(&names), &names)
+    }
+
     /// The pictures of the first call.
     fn shown(&self, names: &BTreeMap<u32, String>) -> Exhibits {
         let mut shown = self.exhibits.clone();

@@ -4,7 +4,7 @@ use crate::geometry::{Point3, Vector3};
 use crate::grounding::direction::{DirectionConvention, Observer};
 use crate::grounding::{Grounding, Question, SceneView, Status, ground_and_brief, query};
 use crate::models::attributes::{self, tests::thing};
-use crate::models::chat::{ChatRequest, Part, Tokens};
+use crate::models::chat::{Part, Tokens};
 use crate::scene::{Instance, Support};
 use camino::Utf8Path;
 use std::fmt::Write;
@@ -56,8 +56,7 @@ fn exhibits(brief: &Brief) -> Exhibits {
 
 fn first_request(brief: &Brief, options: Options, names: BTreeMap<u32, String>) -> ChatRequest {
     let exhibits = exhibits(brief);
-    let conversation = Conversation { brief, exhibits: &exhibits, options, names: names.clone(), unnamed: None };
-    prompt::spatial(&conversation, &conversation.shown(&names), &names)
+    Conversation { brief, exhibits: &exhibits, options, names, unnamed: None }.first_request()
 }
 
 /// A request as one text: what the model gets, in order.
