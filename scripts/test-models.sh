@@ -21,14 +21,31 @@ if [ ! -f models/pe-tokenizer.json ]; then
     rm -rf "$work"
 fi
 
-log=$(mktemp)
-port=$($venv/bin/python -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])')
-$venv/bin/python tests/kserve/server.py "$port" tests/data/tiny-dual-encoder tests/data/tiny-segmenter >"$log" 2>&1 &
-server=$!
-trap 'kill $server 2>/dev/null || true; rm -f "$log"' EXIT
-for _ in $(seq 60); do
-    curl -sf "http://127.0.0.1:$port/v2/health/ready" >/dev/null && break
-    kill -0 $server 2>/dev/null || { cat "$log" >&2; exit 1; }
-    sleep 1
-done
-KSERVE_URL=http://127.0.0.1:$port ${CARGO:-cargo} test --release --locked --quiet --test integration -- --ignored --show-output --test-threads 1 "$@"
+# A server of the chat protocol, in an environment of its own: it pins other versions of what the inference server needs.
+litellm=.venv-litellm
+[ -x $litellm/bin/python ] || "${PYTHON:-python3}" -m venv $litellm
+$litellm/bin/pip install -q "litellm[proxy]==1.106.2"
+
+logs=$(mktemp -d)
+free_port() { $venv/bin/python -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'; }
+# Waits for the server with this process number to answer at this address; tells its log if it ends.
+ready() {
+    for _ in $(seq 120); do
+        curl -sf "$3" >/dev/null && return
+        kill -0 "$1" 2>/dev/null || break
+        sleep 1
+    done
+    cat "$logs/$2" >&2
+    return 1
+}
+kserve_port=$(free_port)
+$venv/bin/python tests/kserve/server.py "$kserve_port" tests/data/tiny-dual-encoder tests/data/tiny-segmenter >"$logs/kserve" 2>&1 &
+kserve=$!
+litellm_port=$(free_port)
+$litellm/bin/litellm --config tests/litellm/config.yaml --host 127.0.0.1 --port "$litellm_port" --telemetry False >"$logs/litellm" 2>&1 &
+proxy=$!
+trap 'kill $kserve $proxy 2>/dev/null || true; rm -rf "$logs"' EXIT
+ready $kserve kserve "http://127.0.0.1:$kserve_port/v2/health/ready"
+ready $proxy litellm "http://127.0.0.1:$litellm_port/health/liveliness"
+KSERVE_URL=http://127.0.0.1:$kserve_port LITELLM_URL=http://127.0.0.1:$litellm_port \
+    ${CARGO:-cargo} test --release --locked --quiet --test integration -- --ignored --show-output --test-threads 1 "$@"

@@ -3,7 +3,7 @@
 use super::table;
 use crate::client::Client;
 use crate::grounding::Status;
-use crate::service::GroundRequest;
+use crate::service::{EvidenceMode, GroundRequest, ReasonerChoice};
 use std::io::{self, Write};
 
 #[derive(Debug, clap::Args)]
@@ -19,6 +19,15 @@ pub struct GroundArgs {
     /// Candidates to keep
     #[arg(long, default_value_t = 5)]
     top_k: u32,
+    /// Who decides: a vision-language model where the server has one, or always, or never
+    #[arg(long, value_enum, default_value = "auto")]
+    reasoner: ReasonerChoice,
+    /// What a model is shown of the candidates
+    #[arg(long, value_enum, default_value = "full")]
+    evidence: EvidenceMode,
+    /// Most the question may cost, US dollars
+    #[arg(long, value_name = "USD")]
+    max_cost_usd: Option<f64>,
     /// Print the answer as JSON
     #[arg(long)]
     json: bool,
@@ -26,9 +35,14 @@ pub struct GroundArgs {
 
 pub async fn run(args: &GroundArgs) -> anyhow::Result<()> {
     let client = Client::new(&args.server, std::env::var("UNIGROUND_API_KEY").ok())?;
-    let answer = client
-        .ground(&args.scene, &GroundRequest { top_k: args.top_k, ..GroundRequest::of(&args.query) })
-        .await?;
+    let request = GroundRequest {
+        top_k: args.top_k,
+        reasoner: args.reasoner,
+        evidence: args.evidence,
+        max_cost_usd: args.max_cost_usd,
+        ..GroundRequest::of(&args.query)
+    };
+    let answer = client.ground(&args.scene, &request).await?;
     let mut out = io::stdout().lock();
     if args.json {
         writeln!(out, "{}", serde_json::to_string_pretty(&answer)?)?;

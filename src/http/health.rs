@@ -34,16 +34,18 @@ pub struct Readiness {
 #[derive(Debug, Serialize, Deserialize, ToSchema)]
 pub struct ModelList {
     pub models: Vec<LoadedModel>,
+    /// The vision-language model that reasons, by the name its endpoint knows it by; `null` when none is configured.
+    pub vlm: Option<String>,
 }
 
-/// The neural models this server was started with; none when all parts are built in.
+/// The models this server was started with; none when all parts are built in.
 #[utoipa::path(
     get, path = "/v1/models", tag = "service",
     responses((status = 200, body = ModelList), (status = 401, body = Problem, content_type = "application/problem+json")),
     security(("key" = []), ())
 )]
 pub async fn models(State(app): State<App>) -> Json<ModelList> {
-    Json(ModelList { models: app.service.loaded_models().to_vec() })
+    Json(ModelList { models: app.service.loaded_models().to_vec(), vlm: app.service.vlm_model().map(str::to_owned) })
 }
 
 /// Whether the process is alive.

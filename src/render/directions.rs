@@ -67,11 +67,16 @@ pub(super) fn draw(picture: &mut RgbImage, camera: &Camera, target: &Point3<f32>
     for Mark { rect, towards, .. } in &marks {
         layer.fill_rect(*rect, &pale, Transform::identity(), None);
         if let Some(arrow) = arrow(rect, *towards) {
+            // A pale rim, for dark ground.
+            layer.stroke_path(&arrow, &pale, &Stroke { width: 4.0, ..Stroke::default() }, Transform::identity(), None);
             layer.fill_path(&arrow, &ink, FillRule::Winding, Transform::identity(), None);
         }
     }
     let mut taken: Vec<Rect> = marks.iter().filter_map(|mark| mark.rect.outset(ARROW_PX, ARROW_PX)).collect();
     let corner = triad_corner(picture.dimensions(), &taken);
+    if let Some(plate) = corner {
+        layer.fill_rect(plate, &pale, Transform::identity(), None);
+    }
     let axes = corner.map(|corner| triad(&mut layer, camera, target, &corner)).unwrap_or_default();
     taken.extend(corner);
     blend(picture, &layer);

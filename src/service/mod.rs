@@ -79,6 +79,12 @@ impl Service {
         &self.models.loaded
     }
 
+    /// The vision-language model's name.
+    #[must_use]
+    pub fn vlm_model(&self) -> Option<&str> {
+        self.vlm.as_ref().map(|vlm| vlm.client.model())
+    }
+
     #[must_use]
     pub fn store(&self) -> &Store {
         &self.store

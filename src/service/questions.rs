@@ -12,7 +12,7 @@ const MAX_TOP_K: u32 = 100;
 const MAX_TIMEOUT_S: f32 = 3600.0;
 
 /// Who decides.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize, ToSchema, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum ReasonerChoice {
     /// A vision-language model when one is configured, else the built-in reasoner.

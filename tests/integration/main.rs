@@ -13,6 +13,7 @@ mod conventions;
 mod evaluation;
 mod language;
 mod layering;
+mod litellm;
 mod neural;
 mod openapi;
 mod real_models;

@@ -86,7 +86,7 @@ async fn complete(State(script): State<Script>, headers: HeaderMap, Json(body): 
         Scripted::Stall => {
             let guard = script.left.clone().drop_guard();
             let never = stream::unfold(guard, |guard: DropGuard| async {
-                sleep(Duration::from_secs(3600)).await;
+                sleep(Duration::from_hours(1)).await;
                 Some((Ok::<_, Infallible>(Vec::new()), guard))
             });
             let first = stream::once(async { Ok(b"{".to_vec()) });

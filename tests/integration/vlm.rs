@@ -139,7 +139,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
         assert_eq!((error.status, error.code.as_str()), (404, "answer_picture_not_found"), "{name}");
     }
     // With the scene everything goes.
-    assert_eq!(server.stored("blobs/answers"), [answer.id.clone()]);
+    assert_eq!(server.stored("blobs/answers"), std::slice::from_ref(&answer.id));
     server.client.delete_scene(&scene).await.unwrap();
     assert!(server.stored("blobs/answers").is_empty());
     server.stop().await;
@@ -455,4 +455,50 @@ async fn keys_are_never_stored() {
         }
     }
     assert!(looked_at > 20);
+}
+
+fn eval(out: &camino::Utf8Path, args: &[&str]) -> (std::process::Output, Value) {
+    let mut command = std::process::Command::new(env!("CARGO_BIN_EXE_uniground"));
+    let examples = concat!(env!("CARGO_MANIFEST_DIR"), "/examples");
+    let output = command.args(["eval", examples, "--out", out.as_str()]).args(args).output().unwrap();
+    let report = fs::read(out.join("report.json")).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
+    (output, report.unwrap_or_default())
+}
+
+/// A table of what a model decides, once with photographs and once with names, within a budget and again from tape.
+#[test]
+fn a_model_is_evaluated_and_its_answers_are_kept() {
+    let runtime = tokio::runtime::Runtime::new().unwrap();
+    let script = Script::default();
+    let url = runtime.block_on(script.serve(vec![six_lines(1, "1 -> thing", true, 1)]));
+    let temporary = tempfile::tempdir().unwrap();
+    let root = camino::Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
+    let tape = root.join("tape.jsonl");
+    let matrix = "source=oracle;reasoner=builtin,vlm;evidence=full,cached_names";
+    let model = ["--vlm-url", &url, "--vlm-model", "scripted", "--vlm-prompt-usd", "2", "--vlm-completion-usd", "8"];
+    let (output, recorded) = eval(&root.join("a"), &[&model[..], &["--matrix", matrix, "--record", tape.as_str()]].concat());
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let cells = recorded["cells"].as_array().unwrap().clone();
+    let calls = |cell: &Value| cell["figures"]["vlm_calls"].as_f64().unwrap();
+    assert_eq!((cells.len(), calls(&cells[0])), (4, 0.0));
+    assert!(calls(&cells[2]) >= 1.0 && cells[2]["figures"]["cost_usd"].as_f64().unwrap() > 0.0, "{}", cells[2]["figures"]);
+    assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 1)");
+    assert!(script.take().iter().any(|body| pictures_of(body) == 6), "annotated instances have photographs");
+
+    let (output, replayed) = eval(
+        &root.join("b"),
+        &["--matrix", matrix, "--replay", tape.as_str(), "--vlm-prompt-usd", "2", "--vlm-completion-usd", "8"],
+    );
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    assert_eq!(script.calls(), 0);
+    for (before, after) in cells.iter().zip(replayed["cells"].as_array().unwrap()) {
+        for figure in ["complete", "vlm_calls", "cost_usd", "prompt_tokens"] {
+            assert_eq!(before["figures"][figure], after["figures"][figure], "{figure}");
+        }
+    }
+    // A run has a budget of its own: what it does not pay for fails, and is told.
+    let (output, _) = eval(&root.join("c"), &[&model[..], &["--matrix", "source=oracle;reasoner=vlm", "--max-usd", "0.03"]].concat());
+    let told = String::from_utf8_lossy(&output.stderr).into_owned();
+    assert!(told.contains("questions failed") && told.contains("the budget of this run is spent"), "{told}");
+    assert!(script.calls() >= 1 && script.calls() < 19, "{} calls", script.calls());
 }

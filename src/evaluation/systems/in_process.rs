@@ -47,9 +47,7 @@ struct LocalScene {
     /// Where an encoder has seen the scene.
     seen: Option<(Arc<DualEncoder>, Embeddings)>,
     album: Album,
-    parser: Option<Arc<Asker>>,
-    /// Who decides, unless the built-in reasoner does.
-    reviewer: Option<Arc<Asker>>,
+    vlm: Option<Arc<Asker>>,
 }
 
 impl InProcess {
@@ -114,8 +112,9 @@ impl System for InProcess {
         let missing = |what: &str| format!("the scene {} has no {what}", scene.id);
         let models = self.models(configuration)?;
         let settings = ParseSettings::from_request(configuration.preset, None)?;
-        let asker = self.vlm.clone().filter(|_| configuration.reasoner != ReasonerChoice::Builtin);
-        let known = |annotations: &Annotations, names| boxed(annotations, scene, names, &models, &settings, asker.is_some());
+        // The scene is brought in once for all reasoners and parsers: where a model may decide, it needs photographs.
+        let with_views = self.vlm.is_some();
+        let known = |annotations: &Annotations, names| boxed(annotations, scene, names, &models, &settings, with_views);
         let Entered { instances, cloud, extent, masks, embeddings, album } = match configuration.source {
             Source::Parsed => {
                 let scan = scene.scan.as_deref().with_context(|| missing("scan"))?;
@@ -129,17 +128,12 @@ impl System for InProcess {
             Source::OracleBoxes => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, Names::Encoder)?,
             Source::Recorded => known(scene.recorded.as_ref().with_context(|| missing("recorded candidates"))?, Names::Encoder)?,
         };
-        let parser = match (&self.vlm, configuration.parser) {
-            (Some(asker), ParserChoice::Vlm) => asker.parser_name(),
-            _ => BuiltinParser.name(),
-        };
         let encoder = models
             .label(Role::Encoder)
             .filter(|_| embeddings.is_some())
             .unwrap_or_else(|| attributes::NAME.into());
         let seen = models.encoder.zip(embeddings);
-        let reasoner = asker.as_ref().map_or_else(|| service::BUILTIN_REASONER.into(), |asker| asker.reasoner_name());
-        let models = Models { masks, encoder, parser, reasoner };
+        let models = Models { masks, encoder, parser: BuiltinParser.name(), reasoner: service::BUILTIN_REASONER.into() };
         let boxes = instances.iter().map(|i| i.aabb).collect();
         Ok(Box::new(LocalScene {
             instances,
@@ -149,8 +143,7 @@ impl System for InProcess {
             models,
             seen,
             album,
-            parser: self.vlm.clone(),
-            reviewer: asker,
+            vlm: self.vlm.clone(),
         }))
     }
 }
@@ -206,8 +199,12 @@ impl OpenScene for LocalScene {
             target_name: hints.and_then(|hints| hints.target_name.clone()),
         };
         let start = Instant::now();
-        let (parsed, mut calls) = match (&self.parser, configuration.parser) {
-            (Some(asker), ParserChoice::Vlm) => asker.read(&question.query)?,
+        let mut models = self.models.clone();
+        let (parsed, mut calls) = match (&self.vlm, configuration.parser) {
+            (Some(asker), ParserChoice::Vlm) => {
+                models.parser = asker.parser_name();
+                asker.read(&question.query)?
+            }
             _ => (query::parse(&question.query), Vec::new()),
         };
         let reading = start.elapsed();
@@ -217,9 +214,10 @@ impl OpenScene for LocalScene {
         let appearance = self.seen.as_ref().map(looks).transpose()?;
         let view = SceneView { instances, extent: self.extent, appearance: appearance.as_ref() };
         let shortlist = grounding::shortlist(view, &parsed, SHORTLIST_DEPTH as usize);
-        let grounding = match &self.reviewer {
+        let grounding = match self.vlm.as_ref().filter(|_| configuration.reasoner != ReasonerChoice::Builtin) {
             None => grounding::ground_read(view, &question, parsed, reading),
             Some(asker) => {
+                models.reasoner = asker.reasoner_name();
                 let (mut grounding, brief) = grounding::ground_and_brief(view, &question, parsed, reading);
                 if !brief.candidates.is_empty() {
                     let room = Room { instances, scenery: &self.scenery, extent: self.extent, album: &self.album };
@@ -237,7 +235,7 @@ impl OpenScene for LocalScene {
             confidence: grounding.confidence,
             candidates: grounding.candidates,
             shortlist: shortlist.iter().map(|c| c.aabb).collect(),
-            models: self.models.clone(),
+            models,
             usage: Usage::of(&calls),
             latency_ms,
         })

@@ -42,7 +42,7 @@ pub enum Ablation {
 }
 
 /// What a vision-language model is shown of the candidates.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, clap::ValueEnum)]
 #[serde(rename_all = "snake_case")]
 pub enum EvidenceMode {
     /// Photographs of every candidate with every question, as in the paper.

@@ -1,0 +1,70 @@
+//! A server of the chat protocol that somebody else wrote: `LiteLLM`'s proxy, with a model that answers without being there
+//! (`tests/litellm/config.yaml`). `make test-models` starts it.
+
+use crate::server::{TestServer, ask, problem};
+use camino::Utf8PathBuf;
+use std::fs;
+use uniground::config::{LimitsConfig, VlmConfig};
+use uniground::grounding::Status;
+use uniground::service::{EvidenceMode, GroundRequest, ReasonerChoice};
+
+const QUERY: &str = "the mug on the coffee table";
+
+async fn server(model: &str, key: &str, json: bool) -> (TestServer, String, tempfile::TempDir) {
+    let url = std::env::var("LITELLM_URL").unwrap_or_else(|_| panic!("make test-models starts the server and says where it is"));
+    let folder = tempfile::tempdir().unwrap();
+    let file = Utf8PathBuf::from_path_buf(folder.path().join("key")).unwrap();
+    fs::write(&file, key).unwrap();
+    let vlm = VlmConfig {
+        vlm_url: Some(format!("{url}/v1")),
+        vlm_model: Some(model.into()),
+        vlm_api_key_file: Some(file),
+        vlm_prompt_usd: 1.0,
+        vlm_attempts: 2,
+        vlm_backoff_ms: 10,
+        vlm_timeout_s: 60,
+        vlm_json: json,
+        ..VlmConfig::default()
+    };
+    let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
+    let scan = fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
+    let scene = server.parsed(scan).await.id;
+    (server, scene, folder)
+}
+
+fn insisting() -> GroundRequest {
+    GroundRequest { reasoner: ReasonerChoice::Vlm, ..ask(QUERY) }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs a LiteLLM proxy: make test-models"]
+async fn a_foreign_server_understands_and_is_understood() {
+    for json in [false, true] {
+        let (server, scene, _key) = server("scripted", "sk-litellm-test", json).await;
+        // Six pictures, half a megabyte of them, go through.
+        let answer = server.client.ground(&scene, &insisting()).await.unwrap();
+        assert_eq!((answer.status, answer.usage.vlm_calls, answer.degraded), (Status::NoMatch, 1, false));
+        assert_eq!(answer.answer.explanation, "nothing of the kind is here");
+        assert!(answer.usage.prompt_tokens > 0 && answer.usage.cost_usd > 0.0);
+        let cached = GroundRequest { evidence: EvidenceMode::CachedNames, ..insisting() };
+        assert_eq!(server.client.ground(&scene, &cached).await.unwrap().usage.vlm_calls, 2);
+        server.stop().await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+#[ignore = "needs a LiteLLM proxy: make test-models"]
+async fn a_foreign_server_s_errors_are_told_in_its_words() {
+    for (model, key, attempts, told) in [
+        ("scripted", "sk-wrong", 1, "400"),
+        ("no-such-model", "sk-litellm-test", 1, "Invalid model name"),
+        ("broken", "sk-litellm-test", 2, "mock rate limit error"),
+    ] {
+        let (server, scene, _key) = server(model, key, false).await;
+        let error = problem(server.client.ground(&scene, &insisting()).await);
+        assert_eq!((error.status, error.code.as_str()), (502, "vlm_unavailable"));
+        assert!(error.detail.contains(told) && error.detail.contains(&format!("in {attempts} attempts")), "{}", error.detail);
+        assert!(!error.detail.contains(key) && server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
+        server.stop().await;
+    }
+}
