@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: demo serve test models test-models lint fmt bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-http openapi schemathesis clean
+.PHONY: demo serve test models test-models lint fmt bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-http openapi schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -56,6 +56,9 @@ bench-scale: ## Stage 1 on one to eight rooms side by side, and how soon it stop
 
 bench-language: ## Reading questions, and deciding them over 200 and 5,000 instances
 	$(CARGO) bench --locked --quiet --bench language
+
+bench-vlm: ## What a vision-language model is shown, what that costs in time and tokens, without a model
+	$(CARGO) bench --locked --quiet --bench vlm
 
 bench-http: ## Questions per second over HTTP (needs Debian's wrk)
 	$(CARGO) build --release --locked --quiet
