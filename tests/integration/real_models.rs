@@ -7,6 +7,7 @@ use serde::Deserialize;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;
+use std::process::Command;
 use std::time::Duration;
 use uniground::evaluation::annotated::Room;
 use uniground::evaluation::annotations::Annotations;
@@ -227,6 +228,24 @@ fn clip_finds_annotated_things_by_their_names() {
             assert!(share(in_five) >= least, "{name}");
         }
     }
+}
+
+/// The whole system with the built-in masks and CLIP: half of the expressions and more are answered with the right box.
+#[test]
+#[ignore = "needs models: make test-models"]
+fn parsed_rooms_are_answered_with_clip() {
+    let out = tempfile::tempdir().unwrap();
+    let output = Command::new(env!("CARGO_BIN_EXE_uniground"))
+        .args(["eval", root().join("../shared/scenes").as_str(), "--out", out.path().to_str().unwrap()])
+        .args(["--matrix", "source=parsed;encoder=clip-vitb16-lite", "--models", root().join("models").as_str()])
+        .args(["--onnxruntime-lib", root().join(".onnxruntime/libonnxruntime.so").as_str()])
+        .output()
+        .unwrap();
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let report: Value = serde_json::from_slice(&fs::read(out.path().join("report.json")).unwrap()).unwrap();
+    let right = report["cells"][0]["figures"]["complete"][0]["value"].as_f64().unwrap();
+    println!("parsed, rgbd masks and CLIP: Acc@.25 {right:.3}");
+    assert!(right >= 0.5, "{right}");
 }
 
 /// The same networks behind a real server of the protocol (`tests/kserve/server.py`) give the same answers.
