@@ -23,6 +23,7 @@ pub struct RunningService {
     shutdown: CancellationToken,
     server: JoinHandle<std::io::Result<()>>,
     worker: JoinHandle<()>,
+    service: Service,
     store: Store,
 }
 
@@ -64,12 +65,12 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         }
     });
     tokio::spawn(forget_daily(service.clone(), shutdown.clone()));
-    let router = http::router(App { service, api_key, shutdown: shutdown.clone(), worker: worker_ended });
+    let router = http::router(App { service: service.clone(), api_key, shutdown: shutdown.clone(), worker: worker_ended });
     let server = tokio::spawn({
         let shutdown = shutdown.clone();
         async move { axum::serve(listener, router).with_graceful_shutdown(shutdown.cancelled_owned()).await }
     });
-    Ok(RunningService { address, shutdown, server, worker, store })
+    Ok(RunningService { address, shutdown, server, worker, service, store })
 }
 
 /// Removes transcripts that were kept long enough: now, and every day.
@@ -105,6 +106,7 @@ impl RunningService {
             abort.abort();
             Ok(())
         };
+        self.service.settle().await?;
         self.store.close().await;
         Ok(served?)
     }

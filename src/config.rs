@@ -127,8 +127,9 @@ impl VlmConfig {
         ensure!(reqwest::Url::parse(&base_url).is_ok_and(|url| url.has_host()), "--vlm-url: {base_url} is not an address");
         let api_key = match vlm_api_key_file {
             Some(file) => Some(fs::read_to_string(file).with_context(|| format!("the key file {file}"))?.trim().to_owned()),
-            None => std::env::var("UNIGROUND_VLM_API_KEY").ok(),
+            None => std::env::var("UNIGROUND_VLM_API_KEY").ok().map(|key| key.trim().to_owned()),
         };
+        let api_key = api_key.filter(|key| !key.is_empty());
         for (flag, usd) in [
             ("--vlm-prompt-usd", Some(*vlm_prompt_usd)),
             ("--vlm-completion-usd", Some(*vlm_completion_usd)),

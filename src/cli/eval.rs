@@ -7,7 +7,7 @@ use crate::evaluation::configuration::{self, Configuration};
 use crate::evaluation::report::{Report, RunFacts};
 use crate::evaluation::run::{RunOptions, Step, run as run_suite};
 use crate::evaluation::suite::{Suite, SuiteOptions};
-use crate::evaluation::systems::{InProcess, Server, System};
+use crate::evaluation::systems::{InProcess, ModelUse, Server, System};
 use crate::models::chat::{ChatClient, Tape};
 use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -130,7 +130,12 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     }
     let system: Box<dyn System> = match &args.server {
         Some(address) => Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?),
-        None => Box::new(InProcess::new(args.models.clone(), vlm_client(args)?, args.record.as_deref(), args.max_usd)?),
+        None => Box::new(InProcess::new(
+            args.models.clone(),
+            vlm_client(args)?,
+            args.record.as_deref(),
+            ModelUse { max_usd: args.max_usd, json: args.vlm.vlm_json },
+        )?),
     };
     suite.omissions.iter().for_each(|omission| eprintln!("left out: {omission}"));
     let run = RunOptions { out: &args.out, cells: &cells, concurrency: args.concurrency.into(), progress: &show_progress };

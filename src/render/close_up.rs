@@ -20,6 +20,7 @@ const MARGIN: f32 = 0.08;
 /// Three shots of what a box holds.
 #[must_use]
 pub fn close_ups(scenery: &Scenery, aabb: &Aabb) -> Vec<Shot> {
+    let top = aabb.max().z + 0.02;
     let surroundings = Aabb { size: aabb.size + Vector3::repeat(2.0 * AROUND_M), ..*aabb };
     AZIMUTHS_DEG
         .par_iter()
@@ -34,16 +35,17 @@ pub fn close_ups(scenery: &Scenery, aabb: &Aabb) -> Vec<Shot> {
             let low = |axis: fn(&crate::scene::Pixel) -> f32| share(seen.iter().map(axis).fold(f32::INFINITY, f32::min));
             let high = |axis: fn(&crate::scene::Pixel) -> f32| share(seen.iter().map(axis).fold(0.0, f32::max));
             Shot {
-                crop: drawn(scenery, &near),
-                frame: drawn(scenery, &far),
+                crop: drawn(scenery, &near, top),
+                frame: drawn(scenery, &far, top),
                 place: [low(|p| p.u), low(|p| p.v), high(|p| p.u), high(|p| p.v)],
             }
         })
         .collect()
 }
 
-fn drawn(scenery: &Scenery, camera: &Camera) -> RgbImage {
-    let splats = scenery.drawn(camera);
+/// What hangs from the ceiling is seen, the ceiling above it is not.
+fn drawn(scenery: &Scenery, camera: &Camera, top_m: f32) -> RgbImage {
+    let splats = scenery.drawn_up_to(camera, top_m);
     let mut picture = RgbImage::from_pixel(SIDE_PX, SIDE_PX, super::BACKGROUND);
     for (under, over) in picture.pixels_mut().zip(splats.picture.pixels()).filter(|(_, over)| over.0[3] > 0) {
         *under = over.to_rgb();

@@ -45,6 +45,12 @@ impl Scenery {
         draw(&self.cloud, self.spacing_m, camera, |p| p.z <= self.ceiling_m)
     }
 
+    /// Draws the points below the ceiling, and all up to a height.
+    #[must_use]
+    pub(super) fn drawn_up_to(&self, camera: &Camera, height_m: f32) -> Splats {
+        draw(&self.cloud, self.spacing_m, camera, |p| p.z <= self.ceiling_m.max(height_m))
+    }
+
     /// Draws every point.
     #[must_use]
     pub(super) fn drawn_with_ceiling(&self, camera: &Camera) -> Splats {

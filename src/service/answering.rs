@@ -181,7 +181,7 @@ impl Service {
             Some(vlm) => vlm.purses(&self.store, request.max_cost_usd).await?,
             None => Vec::new(),
         };
-        let parser = self.parser(request.parser, &purses)?;
+        let parser = self.parser(&request, &purses)?;
         let models =
             Models { masks: parse.masks.clone(), encoder: parse.encoder.clone(), parser: parser.name(), reasoner: BUILTIN_REASONER.into() };
         let work = self.decided(&request, &parse_id, parse.clone(), parser.as_ref(), reviewer.as_deref(), purses);
@@ -194,12 +194,14 @@ impl Service {
         let mut answer = dress(grounding, scene.id, u32::try_from(scene.parse_version).unwrap_or(0), models);
         let mut records = reading.calls;
         let trace = answer.trace.get_or_insert_default();
-        trace
-            .corrections
-            .extend(reading.fell_back.map(|why| format!("the built-in parser read the question: {why}")));
+        if let Some(why) = reading.fell_back {
+            trace.corrections.push(format!("the built-in parser read the question: {why}"));
+            answer.models.parser = BuiltinParser.name();
+            answer.degraded = true;
+        }
         if let Some(Reviewed { corrections, degraded, reasoner, records: of_review }) = review {
             trace.corrections.extend(corrections);
-            answer.degraded = degraded;
+            answer.degraded |= degraded;
             answer.models.reasoner = reasoner;
             records.extend(of_review);
         }
@@ -244,10 +246,7 @@ impl Service {
         purses: Vec<Purse>,
     ) -> Result<Decided, Error> {
         let start = Instant::now();
-        let reading = match request.max_cost_usd == Some(0.0) {
-            true => BuiltinParser.read(&request.query).await,
-            false => parser.read(&request.query).await,
-        };
+        let reading = parser.read(&request.query).await;
         if let Some(vlm) = self.vlm.as_ref().filter(|_| !reading.calls.is_empty()) {
             vlm.note_spending(&self.store).await?;
         }
@@ -272,16 +271,18 @@ impl Service {
         }
         let options = Options { ablation: request.ablation, evidence: request.evidence, json: vlm.json() };
         let before = start.elapsed().as_secs_f64() * 1e3;
-        let case = Case { parse_id, parse: parse.clone(), brief: brief.clone(), options };
+        let calls_made = reading.calls.len() as u32;
+        let case = Case { parse_id, parse: parse.clone(), brief: brief.clone(), options, calls_made };
         let Review { decision, records, evidence_ms } = self.review(vlm, case, purses).await?;
         let (corrections, degraded, reasoner) = match decision {
             Ok(decision) => {
                 decision.apply(&mut grounding, &brief, &parse.instances);
                 // Where the geometry had to choose, the model did not.
-                let degraded = matches!(decision.outcome, Outcome::Projected(_));
-                (decision.corrections, degraded, Self::reasoner_name(vlm))
+                let degraded = matches!(decision.outcome, Outcome::Projected(_) | Outcome::Unknown);
+                let reasoner = if decision.outcome == Outcome::Unknown { BUILTIN_REASONER.to_owned() } else { Self::reasoner_name(vlm) };
+                (decision.corrections, degraded, reasoner)
             }
-            Err(error) if request.reasoner == ReasonerChoice::Vlm => return Err(error.into()),
+            Err(undecided) if request.reasoner == ReasonerChoice::Vlm => return Err(undecided.error.into()),
             Err(error) => (vec![format!("the built-in reasoner answered: {error}")], true, BUILTIN_REASONER.to_owned()),
         };
         let total = start.elapsed().as_secs_f64() * 1e3;
@@ -293,9 +294,11 @@ impl Service {
         Ok(Decided { grounding, seen, reading, review })
     }
 
-    fn parser(&self, choice: ParserChoice, purses: &[Purse]) -> Result<Box<dyn QueryParser>, Error> {
-        match (choice, &self.vlm) {
+    /// Who reads a question; the grammar where nothing may be spent.
+    fn parser(&self, request: &GroundRequest, purses: &[Purse]) -> Result<Box<dyn QueryParser>, Error> {
+        match (request.parser, &self.vlm) {
             (ParserChoice::Builtin, _) => Ok(Box::new(BuiltinParser)),
+            (ParserChoice::Vlm, Some(_)) if request.max_cost_usd == Some(0.0) => Ok(Box::new(BuiltinParser)),
             (ParserChoice::Vlm, Some(vlm)) => Ok(Box::new(VlmParser { client: vlm.client.clone(), purses: purses.to_vec() })),
             (ParserChoice::Vlm, None) => Err(Error::VlmNotConfigured),
         }

@@ -110,7 +110,10 @@ impl Service {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let (parse, mut names) = (self.loaded_parse(&parse_id).await?, self.names_of(&parse_id).await?);
         let page = parse.instances.iter().filter(|i| i.id.0 > cursor).take(limit as usize + 1).cloned();
-        let named = |instance: Instance| InstanceView { model_name: names.remove(&instance.id.0), ..instance.into() };
+        let named = |instance: Instance| InstanceView {
+            model_name: names.remove(&instance.id.0).filter(|name| !name.is_empty()),
+            ..instance.into()
+        };
         let mut page: Vec<InstanceView> = page.map(named).collect();
         let more = page.len() > limit as usize;
         page.truncate(limit as usize);
@@ -121,7 +124,7 @@ impl Service {
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
     pub async fn instance(&self, scene_id: &str, id: InstanceId) -> Result<InstanceView, Error> {
         let (parse_id, instance) = self.stored_instance(scene_id, id).await?;
-        let model_name = self.names_of(&parse_id).await?.remove(&id.0);
+        let model_name = self.names_of(&parse_id).await?.remove(&id.0).filter(|name| !name.is_empty());
         Ok(InstanceView { model_name, ..instance.into() })
     }
 

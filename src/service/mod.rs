@@ -79,6 +79,17 @@ impl Service {
         &self.models.loaded
     }
 
+    /// Writes down what was spent on the model until now: the last thing before the store closes.
+    ///
+    /// # Errors
+    /// When the store fails.
+    pub async fn settle(&self) -> Result<(), crate::error::Error> {
+        match &self.vlm {
+            Some(vlm) => vlm.note_spending(&self.store).await,
+            None => Ok(()),
+        }
+    }
+
     /// The vision-language model's name.
     #[must_use]
     pub fn vlm_model(&self) -> Option<&str> {

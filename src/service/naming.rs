@@ -83,7 +83,7 @@ impl Service {
                 names = self.name_sheet(&vlm, &parse_id, number + 1, ids) => names?,
                 cancelled = until_cancelled(&progress) => return Err(ParseError::from(cancelled).into()),
             };
-            named += names.len();
+            named += names.values().filter(|name| !name.is_empty()).count();
         }
         Ok(format!("{named} of {} objects named by {}", unnamed.len(), vlm.client.model()))
     }

@@ -3,13 +3,13 @@
 use super::Service;
 use super::cache::LoadedParse;
 use super::evidence::Stored;
-use super::questions::{GroundRequest, ReasonerChoice};
+use super::questions::{GroundRequest, ParserChoice, ReasonerChoice};
 use super::vlm::Vlm;
 use crate::error::Error;
 use crate::grounding::vlm::{
-    Brief, Conversation, Decision, EvidenceMode, Exhibits, MAX_CALLS, Options, PROMPT_VERSION, PictureSettings, decide, naming,
+    Brief, Conversation, Decision, EvidenceMode, Exhibits, MAX_CALLS, Options, PROMPT_VERSION, PictureSettings, Undecided, decide, naming,
 };
-use crate::models::chat::{AskError, CallRecord, OverBudget, Picture, Purse, Session};
+use crate::models::chat::{CallRecord, OverBudget, Picture, Purse, Session};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
@@ -17,7 +17,7 @@ use tokio::task::spawn_blocking;
 
 /// What came of asking the model.
 pub(super) struct Review {
-    pub decision: Result<Decision, AskError>,
+    pub decision: Result<Decision, Undecided>,
     pub records: Vec<CallRecord>,
     pub evidence_ms: f64,
 }
@@ -28,12 +28,20 @@ pub(super) struct Case<'a> {
     pub parse: Arc<LoadedParse>,
     pub brief: Brief,
     pub options: Options,
+    /// To read the question: they count.
+    pub calls_made: u32,
 }
 
 impl Service {
     /// The model that reviews a question; `None` where the built-in reasoner decides, by choice or because nothing may be spent.
     pub(super) fn reviewer(&self, request: &GroundRequest) -> Result<Option<Arc<Vlm>>, Error> {
         let unpaid = request.max_cost_usd == Some(0.0);
+        let asks = request.reasoner != ReasonerChoice::Builtin || request.parser == ParserChoice::Vlm;
+        if let Some(vlm) = self.vlm.as_ref().filter(|_| asks && !unpaid && request.max_cost_usd.is_some())
+            && !vlm.client.has_prices()
+        {
+            return Err(Error::invalid("/max_cost_usd", "this server knows no prices of its model: only 0 can be held to"));
+        }
         match (request.reasoner, &self.vlm) {
             (ReasonerChoice::Builtin, _) | (ReasonerChoice::Auto, None) => Ok(None),
             (ReasonerChoice::Auto, Some(_)) if unpaid => Ok(None),
@@ -52,7 +60,7 @@ impl Service {
 
     /// Shows the model a question and hears it out. Names it gave on the way are kept.
     pub(super) async fn review(&self, vlm: &Vlm, case: Case<'_>, purses: Vec<Purse>) -> Result<Review, Error> {
-        let Case { parse_id, parse, brief, options } = case;
+        let Case { parse_id, parse, brief, options, calls_made } = case;
         let start = Instant::now();
         let names = match options.evidence {
             EvidenceMode::Full => BTreeMap::new(),
@@ -61,14 +69,13 @@ impl Service {
         let (brief, exhibits, unnamed) = self.exhibits(parse_id, parse, brief, options.evidence, names.clone()).await?;
         let evidence_ms = start.elapsed().as_secs_f64() * 1e3;
         let conversation = Conversation { brief: &brief, exhibits: &exhibits, options, names: of_candidates(names, &brief), unnamed };
-        let mut session = Session::new(&vlm.client, purses, MAX_CALLS);
+        let mut session = Session::new(&vlm.client, purses, MAX_CALLS.saturating_sub(calls_made));
         let decision = {
             let _place = vlm.place()?;
             decide(&conversation, &mut session).await
         };
-        if let Ok(Decision { new_names, .. }) = &decision
-            && !new_names.is_empty()
-        {
+        let (Ok(Decision { new_names, .. }) | Err(Undecided { new_names, .. })) = &decision;
+        if !new_names.is_empty() {
             self.store
                 .keep_instance_names(parse_id, vlm.client.model(), naming::NAMING_VERSION, new_names)
                 .await?;

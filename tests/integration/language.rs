@@ -9,7 +9,7 @@ use uniground::evaluation::configuration::{self, Configuration};
 use uniground::evaluation::report::{CellReport, Report, RunFacts};
 use uniground::evaluation::run::{RunOptions, run};
 use uniground::evaluation::suite::{Suite, SuiteOptions};
-use uniground::evaluation::systems::{InProcess, Names, instances_of};
+use uniground::evaluation::systems::{InProcess, ModelUse, Names, instances_of};
 use uniground::geometry::boxes::Aabb;
 use uniground::grounding::direction::DirectionConvention;
 use uniground::grounding::{Question, SceneView, Status, ground};
@@ -166,7 +166,7 @@ fn parsed_rooms_are_answered_without_any_model() {
     let out = tempfile::tempdir().unwrap();
     let cells = configuration::cells("source=parsed", &Configuration::default()).unwrap();
     let options = RunOptions { out: Utf8Path::from_path(out.path()).unwrap(), cells: &cells, concurrency: 1, progress: &|_| {} };
-    let results = run(&suite, &InProcess::new(BundlesConfig::default(), None, None, None).unwrap(), &options).unwrap();
+    let results = run(&suite, &InProcess::new(BundlesConfig::default(), None, None, ModelUse::default()).unwrap(), &options).unwrap();
     let facts = RunFacts {
         system: "in process".into(),
         version: String::new(),

@@ -196,11 +196,18 @@ async fn what_does_not_hold_together_is_asked_again() {
     assert_eq!((purposes(&answer).len(), answer.answer.predicted_id.map(|id| id.0)), (2, Some(second)));
     assert!(answer.confidence < 0.7 && !answer.degraded);
 
-    // Three times outside of the set: projected, told, degraded.
+    // Three times outside of the set: the geometry's answer, told and degraded; or the only candidate with a fitting name.
     let answer = grounded(vec![six_lines(4711, "", true, 1)]).await;
     assert_eq!((purposes(&answer).len(), script.calls(), answer.degraded), (3, 3, true));
-    assert_eq!(answer.answer.predicted_id.map(|id| id.0), Some(first));
+    assert_eq!((&answer.answer, answer.models.reasoner.as_str()), (&plain.answer, "builtin-2"));
     assert!(corrections(&answer).contains("the model never chose a candidate"), "{}", corrections(&answer));
+    let answer = grounded(vec![six_lines(4711, &format!("{second} -> red mug, {first} -> wall"), true, 1)]).await;
+    assert_eq!((answer.answer.predicted_id.map(|id| id.0), answer.degraded), (Some(second), true));
+    assert!(
+        answer.answer.explanation.contains("is the only candidate with a fitting name"),
+        "{}",
+        answer.answer.explanation
+    );
 
     // Nothing fits: no box.
     let answer = grounded(vec![six_lines("none", &named, false, 1)]).await;
@@ -302,7 +309,7 @@ async fn money_ends() {
     let script = Script::default();
     let url = script.serve(vec![says("-")]).await;
     // 700 and 40 tokens at 1000 and 5000 dollars a million: 0.9 dollars a call, thought to be several before it is made.
-    let dear = VlmConfig { vlm_prompt_usd: 1000.0, vlm_completion_usd: 5000.0, vlm_daily_usd: Some(12.0), ..config(&url) };
+    let dear = VlmConfig { vlm_prompt_usd: 1000.0, vlm_completion_usd: 5000.0, vlm_daily_usd: Some(20.0), ..config(&url) };
     let (server, scene) = start(dear.clone()).await;
     let plain = builtin(&server, &scene).await;
     script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
@@ -318,6 +325,14 @@ async fn money_ends() {
     assert!(error.detail.contains("this question"), "{}", error.detail);
     let answer = server.client.ground(&scene, &limited(ReasonerChoice::Auto, 0.5)).await.unwrap();
     assert!(answer.degraded && corrections(&answer).contains("budget of this question"));
+
+    // A server that does not count its tokens is not free.
+    let uncounted = json!({"choices": [{"message": {"content": "Predicted ID: none"}}], "usage": null});
+    script.next(vec![Scripted::Json(200, uncounted)]);
+    let answer = server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await.unwrap();
+    assert!(answer.usage.prompt_tokens > 1000 && answer.usage.cost_usd > 1.0, "{:?}", answer.usage);
+    script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    script.take();
 
     // The day's money is spent call by call, also by a server that starts again.
     let mut paid = 0;
@@ -395,6 +410,12 @@ async fn ablations_leave_out_what_they_say() {
         assert_eq!(pictures_of(&sent), pictures, "{ablation:?}");
         assert!(text_of(&sent).starts_with(says_first), "{ablation:?}: {}", text_of(&sent));
     }
+    // Without a format, prose will do.
+    let id = plain.answer.predicted_id.unwrap();
+    script.next(vec![says(&format!("The object ID that best matches the query is **ID {id}**. It is on the table."))]);
+    let request = GroundRequest { ablation: Ablation::SimplePrompt, ..ask(QUERY) };
+    let answer = server.client.ground(&scene, &request).await.unwrap();
+    assert_eq!((answer.answer.predicted_id, purposes(&answer).len()), (Some(id), 1));
     server.stop().await;
 }
 

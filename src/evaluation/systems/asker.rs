@@ -5,7 +5,8 @@ use crate::geometry::boxes::Aabb;
 use crate::grounding::Grounding;
 use crate::grounding::query::{ParsedQuery, QueryParser, VlmParser};
 use crate::grounding::vlm::{
-    Brief, Conversation, EvidenceMode, Exhibits, MAX_CALLS, Options, PROMPT_VERSION, PictureSettings, collages, decide, global, naming,
+    Brief, Conversation, Decision, EvidenceMode, Exhibits, MAX_CALLS, Options, PROMPT_VERSION, PictureSettings, Undecided, collages,
+    decide, global, naming,
 };
 use crate::ingest::Unpacked;
 use crate::models::chat::{CallRecord, ChatClient, Picture, Purse, Session};
@@ -21,6 +22,7 @@ use tokio::runtime::Runtime;
 pub(super) struct Asker {
     client: Arc<ChatClient>,
     purses: Vec<Purse>,
+    json: bool,
     runtime: Runtime,
 }
 
@@ -60,10 +62,10 @@ pub(super) struct Room<'a> {
 }
 
 impl Asker {
-    pub fn new(client: ChatClient, max_usd: Option<f64>) -> anyhow::Result<Self> {
+    pub fn new(client: ChatClient, max_usd: Option<f64>, json: bool) -> anyhow::Result<Self> {
         let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
         let purses = max_usd.map(|usd| Purse::new("this run", usd)).into_iter().collect();
-        Ok(Self { client: Arc::new(client), purses, runtime })
+        Ok(Self { client: Arc::new(client), purses, json, runtime })
     }
 
     fn parser(&self) -> VlmParser {
@@ -96,7 +98,7 @@ impl Asker {
         grounding: &mut Grounding,
         configuration: &Configuration,
     ) -> anyhow::Result<Vec<CallRecord>> {
-        let options = Options { ablation: configuration.ablation, evidence: configuration.evidence, json: false };
+        let options = Options { ablation: configuration.ablation, evidence: configuration.evidence, json: self.json };
         let uses_names = options.evidence == EvidenceMode::CachedNames;
         let names: BTreeMap<u32, String> = match uses_names {
             true => {
@@ -121,35 +123,42 @@ impl Asker {
                 .collect(),
             false => Vec::new(),
         };
-        let sheet = |instances: &[&Instance]| {
-            let shots = instances.iter().filter_map(|i| Some((i.id, room.album.shots(i, room.scenery).into_iter().next()?)));
-            naming::sheet(1, &shots.collect::<Vec<_>>())
-        };
-        let unnamed = (!unnamed.is_empty()).then(|| (sheet(&unnamed), unnamed.iter().map(|i| i.id.0).collect()));
+        // What nobody can see is not asked about.
+        let shots: Vec<_> = unnamed
+            .iter()
+            .filter_map(|i| Some((i.id, room.album.shots(i, room.scenery).into_iter().next()?)))
+            .collect();
+        let unnamed = (!shots.is_empty()).then(|| (naming::sheet(1, &shots), shots.iter().map(|(id, _)| id.0).collect()));
         let conversation = Conversation { brief, exhibits: &exhibits, options, names, unnamed };
         let mut session = Session::new(&self.client, self.purses.clone(), MAX_CALLS);
-        let decision = self.runtime.block_on(decide(&conversation, &mut session)).context("the model could not be asked")?;
-        room.album.names.lock().unwrap_or_else(PoisonError::into_inner).extend(decision.new_names.clone());
+        let decision = self.runtime.block_on(decide(&conversation, &mut session));
+        let (Ok(Decision { new_names, .. }) | Err(Undecided { new_names, .. })) = &decision;
+        room.album.names.lock().unwrap_or_else(PoisonError::into_inner).extend(new_names.clone());
+        let decision = decision.context("the model could not be asked")?;
         decision.apply(grounding, brief, room.instances);
         Ok(session.into_records())
     }
 }
 
 fn exhibits(room: &Room, brief: &Brief, settings: &PictureSettings) -> Exhibits {
-    let mut known = room.album.collages.lock().unwrap_or_else(PoisonError::into_inner);
-    let missing: Vec<InstanceId> = brief
-        .candidates
-        .iter()
-        .map(|c| c.id)
-        .filter(|id| !known.contains_key(&(id.0, settings.collage.max_shots)))
-        .collect();
-    let shots = |id: InstanceId| room.instances.get(id.0 as usize - 1).map_or_else(Vec::new, |i| room.album.shots(i, room.scenery));
     let shots_each = settings.collage.max_shots;
-    known.extend(
-        collages(&missing, shots, settings.collage)
-            .into_iter()
-            .map(|(id, picture)| ((id, shots_each), picture)),
-    );
+    let known = || room.album.collages.lock().unwrap_or_else(PoisonError::into_inner);
+    let missing: Vec<InstanceId> = {
+        let known = known();
+        brief
+            .candidates
+            .iter()
+            .map(|c| c.id)
+            .filter(|id| !known.contains_key(&(id.0, shots_each)))
+            .collect()
+    };
+    let shots = |id: InstanceId| room.instances.get(id.0 as usize - 1).map_or_else(Vec::new, |i| room.album.shots(i, room.scenery));
+    // Drawn without the lock: whoever waits here may be given another question to work on, which would wait for it for ever.
+    let drawn = collages(&missing, shots, settings.collage);
+    let mut known = known();
+    known.extend(drawn.into_iter().map(|(id, picture)| ((id, shots_each), picture)));
     let of_candidates = brief.candidates.iter().filter_map(|c| Some((c.id.0, known.get(&(c.id.0, shots_each))?.clone())));
-    Exhibits { global: global(brief, room.scenery, &room.extent, &settings.global), collages: of_candidates.collect() }
+    let collages = of_candidates.collect();
+    drop(known);
+    Exhibits { global: global(brief, room.scenery, &room.extent, &settings.global), collages }
 }

@@ -29,6 +29,15 @@ use std::fs;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
+/// How a model is asked in a run.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct ModelUse {
+    /// Most the whole run may cost, US dollars.
+    pub max_usd: Option<f64>,
+    /// Ask for JSON by a schema.
+    pub json: bool,
+}
+
 /// The system of this executable.
 pub struct InProcess {
     fingerprint: String,
@@ -51,11 +60,11 @@ struct LocalScene {
 }
 
 impl InProcess {
-    /// `tape` is where the model's answers are recorded, if they are; `max_usd` is what the whole run may cost.
+    /// `tape` is where the model's answers are recorded, if they are; `usage` is how it is asked.
     ///
     /// # Errors
     /// When the executable can not be read: what it would answer is known by its bytes.
-    pub fn new(bundles: BundlesConfig, vlm: Option<ChatClient>, tape: Option<&Utf8Path>, max_usd: Option<f64>) -> anyhow::Result<Self> {
+    pub fn new(bundles: BundlesConfig, vlm: Option<ChatClient>, tape: Option<&Utf8Path>, usage: ModelUse) -> anyhow::Result<Self> {
         let executable = std::env::current_exe()?;
         let bytes = fs::read(&executable).with_context(|| executable.display().to_string())?;
         let program = digest::of(&bytes);
@@ -66,7 +75,7 @@ impl InProcess {
             vlm.as_ref().map_or("", |client| client.model()),
             tape.map_or("", Utf8Path::as_str)
         );
-        let vlm = vlm.map(|client| Asker::new(client, max_usd)).transpose()?.map(Arc::new);
+        let vlm = vlm.map(|client| Asker::new(client, usage.max_usd, usage.json)).transpose()?.map(Arc::new);
         Ok(Self { fingerprint, vlm, bundles, loaded: Mutex::default() })
     }
 

@@ -10,7 +10,7 @@ use super::reply::Reply;
 use super::suite::{Expression, Hints, SuiteScene};
 use crate::geometry::boxes::Aabb;
 use crate::render::Scenery;
-pub use in_process::InProcess;
+pub use in_process::{InProcess, ModelUse};
 pub use oracle::{Names, instances_of, see};
 pub use server::Server;
 

@@ -59,7 +59,7 @@ impl Brief {
         }
         let directions = looked.directions;
         let seen_by = match &parsed.viewpoint {
-            Some(viewpoint) if directions.of_somebody => {
+            Some(viewpoint) if directions.of_somebody && looked.best(&viewpoint.anchor).is_some() => {
                 format!("as seen by somebody {} the {}", viewpoint.look.phrase(), viewpoint.anchor.text())
             }
             _ if directions.of_somebody => "as seen by the observer who asks".into(),

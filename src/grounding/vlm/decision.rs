@@ -1,7 +1,8 @@
 //! What came of a conversation, and the answer it makes.
 
-use super::Brief;
-use super::reply::{Choice, Reply};
+use super::consistency::matches;
+use super::reply::{Choice, Field, Reply};
+use super::{Brief, BriefCandidate};
 use crate::grounding::answer::{Alternative, Grounding, Status};
 use crate::models::chat::AskError;
 use crate::scene::{Instance, InstanceId};
@@ -13,10 +14,11 @@ pub enum Outcome {
     Chosen(InstanceId),
     /// The model says that nothing fits.
     Nothing,
-    /// The model chose nothing that is there, however often it was asked: the geometry's best took its place.
+    /// The model chose nothing that is there, however often it was asked, but what it chose is this candidate.
     Projected(InstanceId),
+    /// The model never said anything that can be used: the geometry's answer stands.
     #[default]
-    None,
+    Unknown,
 }
 
 /// A decision and how it came about.
@@ -46,87 +48,90 @@ impl Decision {
         let outcome = match reply.predicted {
             Choice::Id(id) if brief.is_candidate(id) => Outcome::Chosen(InstanceId(id)),
             Choice::Nothing => Outcome::Nothing,
-            Choice::Id(_) | Choice::Contradiction(..) | Choice::Missing => Outcome::None,
+            Choice::Id(_) | Choice::Contradiction(..) | Choice::Missing => Outcome::Unknown,
         };
-        if outcome != Outcome::None || self.outcome == Outcome::None {
+        if outcome != Outcome::Unknown || self.outcome == Outcome::Unknown {
             (self.outcome, self.reply) = (outcome, reply);
         }
     }
 
     /// A further call failed: whether what was said before is enough.
     pub(super) fn settle(&mut self, error: &AskError) -> bool {
-        let enough = self.outcome != Outcome::None;
+        let enough = self.outcome != Outcome::Unknown;
         if enough {
             self.corrections.push(format!("asking again failed: {error}"));
         }
         enough
     }
 
-    /// Projects a choice outside of the candidates onto them (paper: PROJECTTOCANDIDATES): the same thing under another id, the only
-    /// candidate with a fitting name, or else the geometry's best.
+    /// Projects a choice outside of the candidates onto them (paper: PROJECTTOCANDIDATES): the same thing under another id, or the only
+    /// candidate with a fitting name. Where there is neither, the geometry's own answer stands: no box is dressed as the model's.
     pub(super) fn project(&mut self, brief: &Brief) {
-        if self.outcome != Outcome::None {
+        if self.outcome != Outcome::Unknown {
             return;
         }
         let named = || {
-            let mut fitting = brief
-                .candidates
-                .iter()
-                .filter(|c| self.names.get(&c.id.0).is_some_and(|n| super::consistency::matches(n, &brief.target)));
+            let fits = |c: &&BriefCandidate| self.names.get(&c.id.0).is_some_and(|name| matches(name, &brief.target));
+            let mut fitting = brief.candidates.iter().filter(fits);
             fitting.next().filter(|_| fitting.next().is_none())
         };
         let same_thing = || {
             let Choice::Id(id) = self.reply.predicted else { return None };
             let aabb = brief.boxes.get((id as usize).checked_sub(1)?)?;
-            let overlap = |c: &super::BriefCandidate| c.aabb.iou(aabb);
-            brief
-                .candidates
-                .iter()
-                .max_by(|a, b| overlap(a).total_cmp(&overlap(b)))
-                .filter(|c| overlap(c) >= SAME_THING)
+            let overlap = |c: &BriefCandidate| c.aabb.iou(aabb);
+            let best = brief.candidates.iter().max_by(|a, b| overlap(a).total_cmp(&overlap(b)));
+            best.filter(|c| overlap(c) >= SAME_THING)
         };
-        let found = [
-            same_thing().map(|c| (c.id, "has the box of what the model chose")),
-            named().map(|c| (c.id, "is the only candidate with a fitting name")),
-            brief.candidates.first().map(|c| (c.id, "is what the geometry takes for it")),
-        ];
-        if let Some((id, why)) = found.into_iter().flatten().next() {
-            self.outcome = Outcome::Projected(id);
-            self.corrections.push(format!("the model never chose a candidate; ID {id} {why}"));
-        }
+        let found = same_thing().map(|c| (c.id, "has the box of what the model chose"));
+        let found = found.or_else(|| named().map(|c| (c.id, "is the only candidate with a fitting name")));
+        let what_then = match found {
+            Some((id, why)) => {
+                self.outcome = Outcome::Projected(id);
+                format!("ID {id} {why}")
+            }
+            None => "the built-in reasoner answered".into(),
+        };
+        self.corrections.push(format!("the model never chose a candidate; {what_then}"));
+        // What was said of something else says nothing of this.
+        self.reply = Reply::default();
     }
 
     /// Makes the decision the answer: fields, boxes, status, confidence.
     pub fn apply(&self, grounding: &mut Grounding, brief: &Brief, instances: &[Instance]) {
         let answer = &mut grounding.answer;
-        for (id, name) in self.names.iter().filter(|(id, _)| answer.candidate_names.contains_key(id)).collect::<Vec<_>>() {
-            answer.candidate_names.insert(*id, name.clone());
+        for (id, name) in &self.names {
+            if let Some(known) = answer.candidate_names.get_mut(id) {
+                known.clone_from(name);
+            }
         }
-        let known = |id: &u32| instances.get((*id as usize).wrapping_sub(1)).map(|i| i.id);
-        answer.anchor_id = self
-            .reply
-            .anchor_id
-            .as_ref()
-            .and_then(known)
-            .or(answer.anchor_id.filter(|_| self.reply.anchor_id.is_none()));
-        answer.relation_used = self.reply.relation_used.clone().or(answer.relation_used.take());
         let chosen = match self.outcome {
             Outcome::Chosen(id) | Outcome::Projected(id) => instances.get(id.0 as usize - 1),
-            Outcome::Nothing | Outcome::None => None,
+            Outcome::Nothing => None,
+            Outcome::Unknown => return,
+        };
+        let projected = matches!(self.outcome, Outcome::Projected(_));
+        let told = |field: Field| !projected && !self.reply.not_read.contains(&field.title());
+        let known = |id: u32| instances.get((id as usize).wrapping_sub(1)).map(|i| i.id);
+        if told(Field::AnchorId) {
+            // A thing is no anchor of itself.
+            answer.anchor_id = self.reply.anchor_id.and_then(known).filter(|id| chosen.is_none_or(|i| i.id != *id));
+        }
+        if told(Field::RelationUsed) {
+            answer.relation_used.clone_from(&self.reply.relation_used);
+        }
+        answer.explanation = match (&self.reply.explanation, self.corrections.last()) {
+            (_, Some(why)) if projected => why.clone(),
+            (Some(explanation), _) => explanation.clone(),
+            (None, _) => "The model gave no explanation.".into(),
+        };
+        let weight = match (projected, self.corrections.is_empty()) {
+            (true, _) => 0.0,
+            (false, true) => SURE,
+            (false, false) => CORRECTED,
         };
         let belief = |id: InstanceId| brief.candidates.iter().find(|c| c.id == id).map_or(0.0, |c| c.belief);
-        let weight = match (self.outcome, self.corrections.is_empty()) {
-            (Outcome::Projected(_) | Outcome::None, _) => 0.0,
-            (_, true) => SURE,
-            (_, false) => CORRECTED,
-        };
-        match self.outcome {
-            // The built-in explanation stays: it is the geometry that chose.
-            Outcome::Projected(_) | Outcome::None => {}
-            _ => answer.explanation = self.reply.explanation.clone().unwrap_or_else(|| "The model gave no explanation.".into()),
-        }
         answer.predicted_id = chosen.map(|i| i.id);
-        answer.target_name_matches = chosen.and(self.reply.target_name_matches.or(answer.target_name_matches));
+        answer.target_name_matches = chosen.and(self.reply.target_name_matches);
         grounding.status = if chosen.is_some() { Status::Grounded } else { Status::NoMatch };
         (grounding.aabb, grounding.oriented_box) = (chosen.map(|i| i.aabb), chosen.map(|i| i.oriented_box));
         grounding.confidence = match chosen {

@@ -73,22 +73,31 @@ pub struct Conversation<'a> {
     pub unnamed: Option<(Picture, Vec<u32>)>,
 }
 
+/// A question the model could not be asked, and names that were paid for before that.
+#[derive(Debug, thiserror::Error)]
+#[error("{error}")]
+pub struct Undecided {
+    #[source]
+    pub error: AskError,
+    pub new_names: BTreeMap<u32, String>,
+}
+
 /// Asks until the answer holds together, at most as often as the session allows.
 ///
 /// # Errors
-/// [`AskError`] when the model could not be asked and has said nothing that can be used before.
-pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) -> Result<Decision, AskError> {
+/// [`Undecided`] when the model could not be asked and has said nothing that can be used before.
+pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) -> Result<Decision, Undecided> {
     let Conversation { brief, options, .. } = conversation;
     let mut decision = Decision::default();
     let mut names = conversation.names.clone();
     if let Some((sheet, ids)) = conversation.unnamed.clone().filter(|_| options.uses_names()) {
-        let text = session.ask("naming", naming::request(sheet, &ids)).await?;
+        let named = session.ask("naming", naming::request(sheet, &ids)).await;
+        let text = named.map_err(|error| Undecided { error, new_names: BTreeMap::new() })?;
         decision.new_names = naming::read(&text, &ids);
         names.extend(decision.new_names.clone());
     }
-    if !options.uses_names() {
-        names.clear();
-    }
+    // What could not be named is shown instead.
+    names.retain(|_, name| options.uses_names() && !name.is_empty());
     let shown = conversation.shown(&names);
     let mut request = prompt::spatial(conversation, &shown, &names);
     let (mut purpose, mut looked_again) = ("spatial", false);
@@ -96,9 +105,13 @@ pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) 
         let text = match session.ask(purpose, request).await {
             Ok(text) => text,
             Err(error) if decision.settle(&error) => break,
-            Err(error) => return Err(error),
+            Err(error) => return Err(Undecided { error, new_names: decision.new_names }),
         };
-        let reply = reply::read(&text);
+        let mut reply = reply::read(&text);
+        // Nobody has asked for a format here.
+        if options.ablation == Ablation::SimplePrompt && reply.predicted == Choice::Missing {
+            reply.predicted = reply::only_id(&text, |id| brief.is_candidate(id)).map_or(Choice::Missing, Choice::Id);
+        }
         names.extend(
             reply
                 .candidate_names
@@ -133,7 +146,8 @@ impl Conversation<'_> {
     /// What the model is asked first about a question whose candidates have names, where names are used.
     #[must_use]
     pub fn first_request(&self) -> ChatRequest {
-        let names = if self.options.uses_names() { self.names.clone() } else { BTreeMap::new() };
+        let mut names = self.names.clone();
+        names.retain(|_, name| self.options.uses_names() && !name.is_empty());
         prompt::spatial(self, &self.shown(&names), &names)
     }
 

@@ -31,18 +31,21 @@ pub fn sheet(number: usize, shots: &[(InstanceId, Shot)]) -> Picture {
 pub fn request(sheet: Picture, ids: &[u32]) -> ChatRequest {
     let list = ids.iter().map(|id| format!("ID {id}")).collect::<Vec<_>>().join(", ");
     let text = format!(
-        "The image shows one object per tile, cut from photographs of a room, each under its ID: {list}. Give each a descriptive name of \
+        "The image shows one object per tile, cut from pictures of a room, each under its ID: {list}. Give each a descriptive name of \
          three to eight words: the noun, with its colour, material or shape. Name what fills the middle of the tile. Answer with one \
          line per object, nothing else:\nID -> name"
     );
     ChatRequest { system: SYSTEM.into(), user: vec![Part::Picture(sheet), Part::Text(text)], schema: None }
 }
 
-/// The names in a reply, of those that were asked for.
+/// The names in a reply, of those that were asked for. What a reply passes over has the name "": it is not asked about again, and shown instead.
 #[must_use]
 pub fn read(text: &str, ids: &[u32]) -> BTreeMap<u32, String> {
     let mut names = reply::names_in(text);
     names.retain(|id, name| ids.contains(id) && name.chars().count() <= MAX_NAME_CHARS);
+    if !names.is_empty() {
+        ids.iter().for_each(|id| drop(names.entry(*id).or_default()));
+    }
     names
 }
 
@@ -53,7 +56,10 @@ mod tests {
     #[test]
     fn names_are_read_and_strangers_left_out() {
         let text = "<think>1 -> no</think>Here you are:\n**ID 1** -> red two-seat sofa\n- 2: white door\nID 9 -> a ghost\n3 -> ";
-        assert_eq!(read(text, &[1, 2, 3]), BTreeMap::from([(1, "red two-seat sofa".to_owned()), (2, "white door".to_owned())]));
+        assert_eq!(
+            read(text, &[1, 2, 3]),
+            BTreeMap::from([(1, "red two-seat sofa".to_owned()), (2, "white door".to_owned()), (3, String::new())])
+        );
         assert!(read("I can not.", &[1]).is_empty());
         assert!(read(&format!("1 -> {}", "long ".repeat(40)), &[1]).is_empty());
     }

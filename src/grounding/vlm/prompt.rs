@@ -83,7 +83,7 @@ fn images(brief: &Brief, shown: &Exhibits) -> String {
         let _ = writeln!(
             text,
             "Image 1 is a global render of the scene: views of the same room from above, side by side, from different sides. Candidates are \
-             blue boxes with their IDs{}; dashed edges lie behind other things. Direction words at the rims and the axes show where \
+             boxes with their IDs{}; dashed edges lie behind other things. Direction words at the rims and the axes show where \
              each direction lies in each view.",
             if brief.anchors.is_empty() { "" } else { ", predicted anchors are red" }
         );
@@ -96,7 +96,7 @@ fn images(brief: &Brief, shown: &Exhibits) -> String {
             1 => write!(text, "Image {next} shows the candidate ID {first}"),
             n => write!(text, "Images {next} to {} show one candidate each, in this order: {list}", next + n - 1),
         };
-        let _ = (last, text.write_str(". Above: close crops of the object from up to three viewpoints. Below: the photographs they come from, with the object in a red box."));
+        let _ = (last, text.write_str(". Above: close crops of the object from up to three viewpoints. Below: the pictures they come from, with the object in a red box."));
     }
     text.trim_end().to_owned()
 }
@@ -143,7 +143,9 @@ fn naming(shown: &Exhibits, names: &BTreeMap<u32, String>) -> String {
     }
     if !names.is_empty() {
         text.push_str(if text.is_empty() { "" } else { " " });
-        text.push_str("Names in quotation marks were given by somebody who has looked at photographs of the object alone; use them for candidates without an image.");
+        text.push_str(
+            "Names in quotation marks were given by somebody who has looked at the object alone; use them for candidates without an image.",
+        );
     }
     text
 }

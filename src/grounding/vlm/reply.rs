@@ -37,7 +37,7 @@ pub struct Reply {
 
 /// One of the six fields.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub(super) enum Field {
+pub(in crate::grounding::vlm) enum Field {
     PredictedId,
     Explanation,
     CandidateNames,
@@ -99,10 +99,26 @@ pub fn names_in(text: &str) -> BTreeMap<u32, String> {
     // JSON has its own punctuation between entries; otherwise one per line.
     let mut found = BTreeMap::new();
     for line in text.lines() {
-        found.extend(names(line));
+        let of_line = names(line);
+        match of_line.is_empty() {
+            false => found.extend(of_line),
+            true => found.extend(listed(line)),
+        }
     }
     found.retain(|_, name| name.chars().any(char::is_alphabetic));
     found
+}
+
+/// `7. red sofa`, `| 7 | red sofa |`.
+fn listed(line: &str) -> Option<(u32, String)> {
+    let line = line.trim_start_matches([' ', '|', '*', '-']);
+    let digits = line.find(|c: char| !c.is_ascii_digit())?;
+    let (id, rest) = line.split_at(digits);
+    let name = ['.', ')', '|']
+        .into_iter()
+        .find_map(|sign| rest.trim_start().strip_prefix(sign))
+        .filter(|name| name.starts_with(' '))?;
+    Some((id.parse().ok()?, words(name.split('|').next().unwrap_or_default())?))
 }
 
 impl Reply {
@@ -137,6 +153,10 @@ fn normalised(text: &str) -> String {
             '\r' | '\u{feff}' | '\u{200b}' => {}
             c => plain.push(c),
         }
+    }
+    // Marks some models put around what they mean.
+    for mark in ["<|begin_of_box|>", "<|end_of_box|>"] {
+        plain = plain.replace(mark, "");
     }
     plain
 }
@@ -175,7 +195,8 @@ const DECORATION: [char; 15] = ['*', '_', '`', '#', '<', '>', '[', ']', '(', ')'
 /// The id a field holds: `22`, `<22>`, `ID 22`, `22.`, `**22** (the window)`; or that there is none.
 pub(super) fn choice(value: &str) -> Choice {
     let line = value.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or_default();
-    let mut rest = stripped(line);
+    let line = line.replace("\\boxed", "").replace('$', "");
+    let mut rest = stripped(&line);
     // Words that may stand before an id.
     while let Some(after) = ["the", "is", "object", "candidate", "instance", "id", "no.", "number", "answer", "=", ":", "- "]
         .into_iter()
@@ -209,6 +230,11 @@ fn prefix<'a>(text: &'a str, word: &str) -> Option<&'a str> {
 fn leading_number(text: &str) -> Option<(u32, &str)> {
     let digits = text.find(|c: char| !c.is_ascii_digit()).unwrap_or(text.len());
     let (number, after) = text.split_at(digits);
+    // Some write whole numbers as 22.0.
+    let after = after
+        .strip_prefix(".0")
+        .filter(|rest| !rest.starts_with(|c: char| c.is_ascii_digit()))
+        .unwrap_or(after);
     let goes_on = after.starts_with(|c: char| c.is_alphanumeric())
         || after.strip_prefix('.').is_some_and(|rest| rest.starts_with(|c: char| c.is_ascii_digit()));
     (!goes_on).then(|| number.parse().ok()).flatten().map(|number| (number, after))
@@ -217,16 +243,23 @@ fn leading_number(text: &str) -> Option<(u32, &str)> {
 /// The 7 of "22 or 7", "22, 7", "22 / 7": right after an id another number contradicts it.
 fn another_number(after: &str) -> Option<u32> {
     let after = after.trim_start_matches(|c: char| c == ' ' || DECORATION.contains(&c));
-    let after = ["or", "and", "/", ",", "&", "vs."].into_iter().find_map(|word| prefix(after, word))?;
+    let (word, after) = ["or", "and", "/", ",", "&", "vs."]
+        .into_iter()
+        .find_map(|word| Some((word, prefix(after, word)?)))?;
     let after = stripped(after);
     let after = prefix(after, "id").map_or(after, stripped);
-    leading_number(after).map(|(number, _)| number)
+    let (number, after) = leading_number(after)?;
+    // "9, 2 metres left of it" has one id.
+    let is_measure = word == "," && after.trim_start().starts_with(|c: char| c.is_alphabetic());
+    (!is_measure).then_some(number)
 }
 
 /// A reply that is nothing but an id (paper's fallback).
 fn bare(text: &str) -> Choice {
     const LONGEST: usize = 40;
     let text = text.trim();
+    let text = text.strip_prefix("<answer>").and_then(|t| t.strip_suffix("</answer>")).unwrap_or(text).trim();
+    let text = prefix(text, "answer").map_or(text, |after| after.trim_start_matches([':', ' ']));
     if text.len() > LONGEST || text.lines().count() > 1 {
         return Choice::Missing;
     }
@@ -238,11 +271,17 @@ fn bare(text: &str) -> Choice {
     }
 }
 
+/// Whether a value says that there is none: "none", "None - no candidate is a fridge", "No matching candidate".
 fn is_nothing(value: &str) -> bool {
-    let word: String = value.chars().take_while(|c| !matches!(c, '.' | ',' | ';' | '(' | '\n' | ':')).collect();
-    let word = word.trim_matches(|c: char| c.is_whitespace() || DECORATION.contains(&c)).to_ascii_lowercase();
-    ["none", "null", "unknown", "n/a", "na", "no match", "nothing", "nil", "not found", "none of them", "no candidate", "-", ""]
-        .contains(&word.as_str())
+    let value = stripped(value).trim_start_matches(['-', ' ']).to_ascii_lowercase();
+    let word: String = value.chars().take_while(|c| c.is_ascii_alphabetic() || *c == '/').collect();
+    let after = value[word.len()..].trim_start();
+    match word.as_str() {
+        "none" | "nothing" | "null" | "unknown" | "n/a" | "na" | "nil" => true,
+        // "No. 22" is an id.
+        "no" | "not" => !after.trim_start_matches(['.', ' ', '#']).starts_with(|c: char| c.is_ascii_digit()),
+        _ => false,
+    }
 }
 
 /// Words without what Markdown put around them; `None` when there are none.
@@ -271,7 +310,8 @@ pub(super) fn anchor(value: &str) -> Option<u32> {
     }
 }
 
-/// `7 -> beige wall section, 22 -> window`: ids and what stands between them; also one per line, with colons, dashes and bullets.
+/// `7 -> beige wall section, 22 -> window`: ids and what stands between them; also one per line, with colons, dashes and bullets. An id
+/// begins a line or follows a comma, unless an arrow shows what it is: "white 2-seat sofa" has no second id.
 pub(super) fn names(value: &str) -> BTreeMap<u32, String> {
     let mut found: Vec<(u32, usize, usize)> = Vec::new();
     let bytes = value.as_bytes();
@@ -282,20 +322,15 @@ pub(super) fn names(value: &str) -> BTreeMap<u32, String> {
             continue;
         }
         let digits = bytes[at..].iter().take_while(|b| b.is_ascii_digit()).count();
-        let after = &value[at + digits..];
-        let rest = after.trim_start_matches(|c: char| c == ' ' || DECORATION.contains(&c));
-        let sign = ["->", "=>", ":", "=", "- ", "-"].into_iter().find(|sign| rest.starts_with(sign));
-        // `22>: x` closes a bracket first, `22 -> x` has its own sign.
-        if let (Some(sign), Ok(id)) = (sign.or_else(|| after.trim_start().starts_with("->").then_some("")), value[at..at + digits].parse())
-        {
-            let start = value.len() - rest.len() + sign.len();
-            found.push((id, label_start(value, at), start));
-            at = start.max(at + digits);
-        } else {
-            at += digits;
+        let (start, begins) = entry_start(value, at);
+        let entry = after_sign(&value[at + digits..], begins).zip(value[at..at + digits].parse().ok());
+        at += digits;
+        if let Some((name, id)) = entry {
+            found.push((id, start, value.len() - name.len()));
+            at = at.max(value.len() - name.len());
         }
     }
-    let ends = found.iter().skip(1).map(|(_, before, _)| *before).chain([value.len()]);
+    let ends = found.iter().skip(1).map(|(_, start, _)| *start).chain([value.len()]);
     found
         .iter()
         .zip(ends)
@@ -305,15 +340,60 @@ pub(super) fn names(value: &str) -> BTreeMap<u32, String> {
         .collect()
 }
 
-/// Where the writing of an id begins: before its "ID", its bracket, its bullet.
-fn label_start(value: &str, digits: usize) -> usize {
-    let before = value[..digits].trim_end_matches(|c: char| c == ' ' || c == '-' || DECORATION.contains(&c));
+/// What follows the sign between an id and its name. Only an arrow will do where the id does not begin an entry.
+fn after_sign(after: &str, begins: bool) -> Option<&str> {
+    if let Some(name) = after.trim_start().strip_prefix("->") {
+        return Some(name);
+    }
+    let rest = after.trim_start_matches(|c: char| c == ' ' || DECORATION.contains(&c));
+    let arrow = ["->", "=>"].into_iter().find_map(|sign| rest.strip_prefix(sign));
+    let sign = || [":", "="].into_iter().find_map(|sign| rest.strip_prefix(sign));
+    // A dash stands free; others belong to words.
+    let dash = || rest.strip_prefix("- ").filter(|_| !after.starts_with('-'));
+    arrow.or_else(|| begins.then(|| sign().or_else(dash)).flatten())
+}
+
+/// Where the writing of an id begins (before its "ID", its bracket, its bullet or number), and whether that begins an entry.
+fn entry_start(value: &str, digits: usize) -> (usize, bool) {
+    let trimmed = |text: &str| text.trim_end_matches(|c: char| c == ' ' || c == '-' || DECORATION.contains(&c)).len();
+    let before = &value[..trimmed(&value[..digits])];
     let without = |word: &str| {
         let cut = before.len().checked_sub(word.len())?;
         before.get(cut..).filter(|tail| tail.eq_ignore_ascii_case(word)).map(|_| cut)
     };
     let start = without("id").or_else(|| without("object")).or_else(|| without("candidate")).unwrap_or(before.len());
-    value[..start].trim_end_matches(|c: char| c == ' ' || c == '-' || DECORATION.contains(&c)).len()
+    let mut start = trimmed(&value[..start]);
+    // "3. ID 22": the number of the line is no part of the name before.
+    let line = value[..start].rfind('\n').map_or(0, |at| at + 1);
+    let numbered = value[line..start]
+        .trim()
+        .strip_suffix(['.', ')'])
+        .is_some_and(|n| !n.is_empty() && n.bytes().all(|b| b.is_ascii_digit()));
+    if numbered {
+        start = line;
+    }
+    let begins = value[..start].is_empty() || value[..start].ends_with(['\n', ',', ';', '/', ':']) || numbered;
+    (start, begins)
+}
+
+/// The one id written as "ID 7" in a reply that was asked for no format; `None` when there are several, or none.
+#[must_use]
+pub fn only_id(text: &str, is_candidate: impl Fn(u32) -> bool) -> Option<u32> {
+    let text = normalised(text);
+    let text = without_thoughts(&text);
+    let lower = text.to_ascii_lowercase();
+    let mut ids: Vec<u32> = lower
+        .match_indices("id")
+        .filter(|(at, _)| !lower[..*at].ends_with(|c: char| c.is_ascii_alphanumeric()))
+        .filter_map(|(at, _)| leading_number(stripped(text[at + 2..].trim_start_matches([':', ' ', '#', '*']))))
+        .map(|(id, _)| id)
+        .filter(|id| is_candidate(*id))
+        .collect();
+    ids.dedup();
+    match ids.as_slice() {
+        [id] => Some(*id),
+        _ => None,
+    }
 }
 
 #[cfg(test)]

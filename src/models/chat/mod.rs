@@ -139,8 +139,7 @@ pub struct ChatClient {
 #[derive(Deserialize)]
 struct Completion {
     choices: Vec<Choice>,
-    #[serde(default)]
-    usage: Usage,
+    usage: Option<Usage>,
 }
 
 #[derive(Deserialize)]
@@ -181,10 +180,8 @@ impl Message {
 
 #[derive(Default, Deserialize)]
 struct Usage {
-    #[serde(default)]
-    prompt_tokens: u64,
-    #[serde(default)]
-    completion_tokens: u64,
+    prompt_tokens: Option<u64>,
+    completion_tokens: Option<u64>,
 }
 
 impl ChatClient {
@@ -197,6 +194,12 @@ impl ChatClient {
     #[must_use]
     pub fn model(&self) -> &str {
         &self.endpoint.model
+    }
+
+    /// Whether anything is known to cost something.
+    #[must_use]
+    pub fn has_prices(&self) -> bool {
+        self.endpoint.prices != Prices::default()
     }
 
     /// What tokens cost, US dollars.
@@ -234,10 +237,13 @@ impl ChatClient {
             attempts += 1;
             let (error, wait) = match self.send(&body).await {
                 Ok(Completion { choices, usage }) => {
-                    let Usage { prompt_tokens, completion_tokens } = usage;
                     let latency_ms = start.elapsed().as_secs_f64() * 1e3;
                     // Nothing said is a reply as well, if one that says nothing.
                     let text = choices.into_iter().next().and_then(|choice| choice.message.text()).unwrap_or_default();
+                    let Usage { prompt_tokens, completion_tokens } = usage.unwrap_or_default();
+                    // Servers that do not count are not free: it is reckoned.
+                    let prompt_tokens = prompt_tokens.unwrap_or_else(|| Tokens::of(request).total());
+                    let completion_tokens = completion_tokens.unwrap_or_else(|| Tokens::of_text(&text));
                     return Ok(ChatReply { text, prompt_tokens, completion_tokens, attempts, latency_ms });
                 }
                 Err(failure) => failure,
@@ -275,11 +281,19 @@ impl ChatClient {
             .ok_or_else(|| (ChatError::Undecodable(format!("it is longer than {MAX_REPLY_BYTES} bytes")), None))?;
         if !status.is_success() {
             let again = matches!(status.as_u16(), 408 | 409 | 429) || status.is_server_error();
-            return Err((ChatError::Refused { status, detail: detail(&text) }, again.then_some(wait)));
+            return Err((ChatError::Refused { status, detail: detail(&self.without_key(&text)) }, again.then_some(wait)));
         }
         let undecodable = |why: String| (ChatError::Undecodable(why), Some(None));
         let completion: Completion = serde_json::from_str(&text).map_err(|error| undecodable(error.to_string()))?;
         if completion.choices.is_empty() { Err(undecodable("there is no choice".into())) } else { Ok(completion) }
+    }
+
+    /// Some servers repeat the key they were shown.
+    fn without_key(&self, text: &str) -> String {
+        match &self.endpoint.api_key {
+            Some(key) if !key.is_empty() => text.replace(key.as_str(), "<key>"),
+            _ => text.to_owned(),
+        }
     }
 
     fn body(&self, request: &ChatRequest, with_schema: bool) -> Value {

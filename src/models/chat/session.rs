@@ -1,5 +1,6 @@
 //! The calls of one question: counted, paid for, remembered.
 
+use super::purse::Hold;
 use super::{ChatClient, ChatFailure, ChatReply, ChatRequest, OverBudget, Purse, Tokens};
 
 /// What a completion is thought to take before it is known.
@@ -25,6 +26,24 @@ pub enum AskError {
     Budget(#[from] OverBudget),
     #[error("no more than {most} calls are made for one question")]
     CallsUsedUp { most: u32 },
+}
+
+/// A call under way and what it is thought to cost: that counts as spent when nobody waits for its end.
+struct Sent {
+    holds: Vec<Hold>,
+    thought: f64,
+}
+
+impl Sent {
+    fn settle(&mut self, usd: f64) {
+        self.holds.drain(..).for_each(|hold| hold.settle(usd));
+    }
+}
+
+impl Drop for Sent {
+    fn drop(&mut self) {
+        self.settle(self.thought);
+    }
 }
 
 /// Asks for one question, from the purses that pay for it.
@@ -62,6 +81,8 @@ impl<'a> Session<'a> {
         }
         let thought = self.client.cost_usd(Tokens::of(&request).total(), EXPECTED_COMPLETION_TOKENS);
         let holds = self.purses.iter().map(|purse| purse.hold(thought)).collect::<Result<Vec<_>, _>>()?;
+        // Who leaves while the model thinks has asked it all the same.
+        let mut sent = Sent { holds, thought };
         let answered = self.client.ask(&request).await;
         let (attempts, latency_ms) = match &answered {
             Ok(reply) => (reply.attempts, reply.latency_ms),
@@ -70,7 +91,7 @@ impl<'a> Session<'a> {
         let cost_usd = answered
             .as_ref()
             .map_or(0.0, |reply| self.client.cost_usd(reply.prompt_tokens, reply.completion_tokens));
-        holds.into_iter().for_each(|hold| hold.settle(cost_usd));
+        sent.settle(cost_usd);
         let outcome = answered.as_ref().map(Clone::clone).map_err(ToString::to_string);
         self.records.push(CallRecord { purpose, request, outcome, attempts, latency_ms, cost_usd });
         Ok(answered?.text)
@@ -80,5 +101,22 @@ impl<'a> Session<'a> {
     #[must_use]
     pub fn into_records(self) -> Vec<CallRecord> {
         self.records
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn who_leaves_in_mid_call_has_paid_what_was_put_aside() {
+        let purse = Purse::new("this question", 1.0);
+        let sent = |usd| Sent { holds: vec![purse.hold(usd).unwrap()], thought: usd };
+        drop(sent(0.25));
+        assert!((purse.spent_usd() - 0.25).abs() < 1e-9);
+        let mut answered = sent(0.5);
+        answered.settle(0.1);
+        drop(answered);
+        assert!((purse.spent_usd() - 0.35).abs() < 1e-9 && purse.hold(0.6).is_ok());
     }
 }

@@ -39,6 +39,10 @@ impl Tape {
     pub fn record(path: &Utf8Path) -> anyhow::Result<Self> {
         let known = if path.exists() { read(path)?.0 } else { HashMap::new() };
         let file = OpenOptions::new().create(true).append(true).open(path).with_context(|| path.to_string())?;
+        // What was cut off in mid-line is no answer, and must not run into the next.
+        let text = fs::read(path).with_context(|| path.to_string())?;
+        let whole = text.iter().rposition(|byte| *byte == b'\n').map_or(0, |at| at + 1);
+        file.set_len(whole as u64).with_context(|| path.to_string())?;
         Ok(Self::Record { file: Mutex::new(file), known: Mutex::new(known) })
     }
 
@@ -77,11 +81,11 @@ impl Tape {
 
 fn read(path: &Utf8Path) -> anyhow::Result<(HashMap<String, ChatReply>, Option<String>)> {
     let text = fs::read_to_string(path).with_context(|| path.to_string())?;
-    let (mut known, mut model) = (HashMap::new(), None);
+    let (mut known, mut model, count) = (HashMap::new(), None, text.lines().count());
     for (i, line) in text.lines().enumerate() {
         let parsed: Result<Line, _> = serde_json::from_str(line);
         // A line that was cut off at the end is an answer that was not kept.
-        let cut_off = i + 1 == text.lines().count() && !text.ends_with('\n');
+        let cut_off = i + 1 == count && !text.ends_with('\n');
         ensure!(parsed.is_ok() || cut_off, "{path}:{}: not a line of a tape", i + 1);
         if let Ok(Line { key, model: of, reply }) = parsed {
             known.insert(key, reply);

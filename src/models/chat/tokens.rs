@@ -27,6 +27,12 @@ impl Tokens {
         tokens
     }
 
+    /// Tokens of a text.
+    #[must_use]
+    pub fn of_text(words: &str) -> u64 {
+        text(words)
+    }
+
     #[must_use]
     pub fn total(self) -> u64 {
         self.text + self.pictures

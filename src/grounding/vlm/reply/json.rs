@@ -1,21 +1,30 @@
 //! Replies in JSON, bare, fenced, or among words.
 
-use super::{Choice, Field, Reply, anchor, choice, is_nothing, names, truth, words};
+use super::{Choice, Field, Reply, anchor, choice, is_nothing, joined, names, truth, words};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 
 /// Braces looked at before it is no JSON.
 const MAX_TRIES: usize = 64;
 
-/// The first object in a reply that has one of the six fields.
+/// The objects in a reply that have one of the six fields, taken together: two ids contradict each other.
 pub(super) fn read(text: &str) -> Option<Reply> {
-    let objects = text.match_indices('{').take(MAX_TRIES).filter_map(|(at, _)| {
+    let mut from = 0;
+    let mut replies = Vec::new();
+    for (at, _) in text.match_indices('{').take(MAX_TRIES) {
+        if at < from {
+            continue;
+        }
         let mut values = serde_json::Deserializer::from_str(&text[at..]).into_iter::<Value>();
-        values.next()?.ok()
-    });
-    objects
-        .filter_map(|value| if let Value::Object(object) = value { Some(object) } else { None })
-        .find_map(|object| of_object(&object))
+        if let Some(Ok(Value::Object(object))) = values.next() {
+            // What lies within belongs to it.
+            from = at + values.byte_offset();
+            replies.extend(of_object(&object));
+        }
+    }
+    let predicted = replies.iter().map(|reply: &Reply| reply.predicted).fold(Choice::Missing, joined);
+    let fullest = replies.into_iter().min_by_key(|reply| reply.not_read.len())?;
+    Some(Reply { predicted, ..fullest })
 }
 
 fn of_object(object: &Map<String, Value>) -> Option<Reply> {

@@ -9,6 +9,8 @@ const LABELS: &[(Field, &str)] = &[
     (Field::PredictedId, "predicted id"),
     (Field::PredictedId, "predicted_id"),
     (Field::PredictedId, "prediction id"),
+    (Field::PredictedId, "final id"),
+    (Field::PredictedId, "final object id"),
     (Field::Explanation, "explanation"),
     (Field::CandidateNames, "candidate names"),
     (Field::CandidateNames, "candidate_names"),
@@ -42,7 +44,9 @@ pub(super) fn fields(text: &str) -> Vec<(Field, &str)> {
     } else {
         found.retain(|f| f.leads || separated(text, f.start));
     }
-    let ends: Vec<usize> = found.iter().skip(1).map(|f| f.start).chain([text.len()]).collect();
+    // Bullets and numbers before a label are no part of the value before it.
+    let begins = |f: &Found| if f.leads { text[..f.start].rfind('\n').map_or(0, |at| at + 1) } else { f.start };
+    let ends: Vec<usize> = found.iter().skip(1).map(begins).chain([text.len()]).collect();
     found.iter().zip(ends).map(|(f, end)| (f.field, &text[f.value..end.max(f.value)])).collect()
 }
 
@@ -66,7 +70,13 @@ fn find(text: &str) -> Vec<Found> {
 /// Where the value of a label that ends at `end` begins; `None` when the label is only mentioned.
 fn value_after(text: &str, end: usize) -> Option<usize> {
     let rest = text[end..].trim_start_matches(['*', '_', '`', '?', '"', '\'', ' ']);
-    let value = [":", "=>", "=", "->", "|"].into_iter().find_map(|sign| rest.strip_prefix(sign));
+    // "Predicted ID (of the target): 22"
+    let rest = rest
+        .strip_prefix('(')
+        .and_then(|inner| inner.split_once(')'))
+        .filter(|(inner, _)| inner.len() < 40 && !inner.contains('\n'))
+        .map_or(rest, |(_, after)| after.trim_start_matches(['*', '_', ' ']));
+    let value = [":", "=>", "=", "->", "|", "- "].into_iter().find_map(|sign| rest.strip_prefix(sign));
     // A heading has its value on the next line.
     let value = value.or_else(|| rest.starts_with('\n').then_some(rest))?;
     Some(text.len() - value.len())
@@ -76,10 +86,13 @@ fn value_after(text: &str, end: usize) -> Option<usize> {
 fn leads(text: &str, start: usize) -> bool {
     let line = text[..start].rfind('\n').map_or(0, |at| at + 1);
     let before = text[line..start].trim_matches(|c: char| c.is_whitespace() || "*_`#->|+\"'<[({".contains(c));
+    // "Final Predicted ID", "Answer: Predicted ID".
+    let lower = before.to_ascii_lowercase();
+    let announced = ["final", "my", "the", "answer:", "final answer:"].contains(&lower.trim());
     let numbered = before
         .strip_suffix(['.', ')'])
         .is_some_and(|n| n.len() <= 2 && n.bytes().all(|b| b.is_ascii_digit()));
-    before.is_empty() || numbered
+    before.is_empty() || numbered || announced
 }
 
 /// Whether a label within a line follows the end of something: `...; Anchor ID: 20`.

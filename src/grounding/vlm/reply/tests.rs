@@ -57,6 +57,34 @@ fn names_and_explanations_are_whole() {
     assert_eq!(reply.not_read, ["Target name matches?", "Relation used"]);
 }
 
+/// Bullets and numbers of the next line are no part of a value, and numbers within a name are no ids.
+#[test]
+fn values_end_where_the_next_line_begins() {
+    let reply =
+        read("1. Predicted ID: 22\n2. Explanation: it fits\n3. Candidate Names: 7 -> white 2-seat sofa, 22 -> window\n4. Anchor ID: 20");
+    assert_eq!((reply.explanation.as_deref(), reply.candidate_names[&22].as_str()), (Some("it fits"), "window"));
+    assert_eq!(reply.candidate_names[&7], "white 2-seat sofa");
+    let reply = read(
+        "- Predicted ID: 22\n- Explanation: it fits\n- Candidate Names:\n1. ID 7: black chair\n2. ID 9: red chair\n- Relation used: above\n- Anchor ID: 1",
+    );
+    assert_eq!((reply.relation_used.as_deref(), reply.candidate_names[&7].as_str()), (Some("above"), "black chair"));
+    assert_eq!(
+        names_in("| 1 | red sofa |\n2. blue chair\n3 -> 2-seat sofa\n4 - lamp")
+            .into_iter()
+            .collect::<Vec<_>>(),
+        [(1, "red sofa".to_owned()), (2, "blue chair".into()), (3, "2-seat sofa".into()), (4, "lamp".into()),]
+    );
+}
+
+#[test]
+fn prose_names_one_id_or_none() {
+    let known = |id: u32| [7, 9].contains(&id);
+    assert_eq!(only_id("The object that best matches is **ID 7**, because ID 4711 is a wall.", known), Some(7));
+    assert_eq!(only_id("Object ID: 9. ID 9 is red.", known), Some(9));
+    assert_eq!(only_id("Either ID 7 or ID 9, the said 9.", known), None);
+    assert_eq!(only_id("<think>ID 7</think>No idea, 7 perhaps.", known), None);
+}
+
 #[test]
 fn a_megabyte_of_noise_is_nothing_and_hides_nothing() {
     let noise: String = (0..131_072_u32).map(|i| format!("{:x} {{ ", i.wrapping_mul(2_654_435_761))).collect();
