@@ -44,7 +44,9 @@ pub fn read(text: &str, ids: &[u32]) -> BTreeMap<u32, String> {
     let mut names = reply::names_in(text);
     names.retain(|id, name| ids.contains(id) && name.chars().count() <= MAX_NAME_CHARS);
     if !names.is_empty() {
-        ids.iter().for_each(|id| drop(names.entry(*id).or_default()));
+        for id in ids {
+            names.entry(*id).or_default();
+        }
     }
     names
 }
