@@ -81,9 +81,7 @@ impl Room {
         };
         let shot = |(k, view): (usize, &uniground::scene::View)| {
             let (crop, frame) = (read(k, Picture::Crop), read(k, Picture::Frame));
-            let [l, t, r, b] = view.box_px.map(|v| v as f32);
-            let (w, h) = (frame.width() as f32, frame.height() as f32);
-            Shot { crop, frame, place: [l / w, t / h, r / w, b / h] }
+            Shot::new(crop, frame, view.box_px)
         };
         instance.views.iter().enumerate().map(shot).collect()
     }
@@ -106,7 +104,7 @@ impl Room {
         let cloud =
             PointCloud { positions: kept.clone().map(|i| all.positions[i]).collect(), colours: kept.map(|i| all.colours[i]).collect() };
         let scenery = Scenery::of(cloud);
-        let settings = PictureSettings::full();
+        let settings = PictureSettings::of(EvidenceMode::Full);
         let mut times: Vec<f64> = (0..ROUNDS)
             .map(|_| {
                 let start = Instant::now();
@@ -134,7 +132,7 @@ impl Room {
         for words in queries {
             let brief = self.brief(words);
             for (evidence, total) in [(EvidenceMode::Full, &mut full), (EvidenceMode::CachedNames, &mut cached)] {
-                let settings = if evidence == EvidenceMode::Full { PictureSettings::full() } else { PictureSettings::frugal() };
+                let settings = PictureSettings::of(evidence);
                 let exhibits = self.exhibits(&brief, &scenery, &settings);
                 let names: BTreeMap<u32, String> = brief.candidates.iter().map(|c| (c.id.0, name(c.id.0))).collect();
                 let options = Options { evidence, ..Options::default() };

@@ -60,6 +60,24 @@ mod tests {
     use crate::scene::PointCloud;
 
     #[test]
+    fn what_hangs_from_the_ceiling_is_seen() {
+        let mut cloud = PointCloud::default();
+        for i in 0..100 {
+            for j in 0..100 {
+                cloud.positions.push(Point3::new(i as f32 * 0.03, j as f32 * 0.03, 0.0));
+                cloud.colours.push([120; 3]);
+            }
+        }
+        for i in 0..400 {
+            cloud.positions.push(Point3::new(1.5 + (i % 20) as f32 * 0.01, 1.5 + (i / 20) as f32 * 0.01, 2.4));
+            cloud.colours.push([250, 0, 0]);
+        }
+        let lamp = Aabb { center: Point3::new(1.6, 1.6, 2.35), size: Vector3::new(0.2, 0.2, 0.1) };
+        let red = |shot: &Shot| shot.crop.pixels().filter(|p| p.0 == [250, 0, 0]).count();
+        assert!(close_ups(&Scenery::of(cloud), &lamp).iter().all(|shot| red(shot) > 5000));
+    }
+
+    #[test]
     fn the_thing_is_in_the_crop_and_its_place_in_the_frame() {
         let mut cloud = PointCloud::default();
         for i in 0..60 {

@@ -16,6 +16,16 @@ pub struct Shot {
     pub place: [f32; 4],
 }
 
+impl Shot {
+    /// `box_px` is where the candidate is in `frame`: left, top, right, bottom, pixels.
+    #[must_use]
+    pub fn new(crop: RgbImage, frame: RgbImage, box_px: [u32; 4]) -> Self {
+        let (width, height) = (frame.width() as f32, frame.height() as f32);
+        let [left, top, right, bottom] = box_px.map(|v| v as f32);
+        Self { crop, frame, place: [left / width, top / height, right / width, bottom / height] }
+    }
+}
+
 /// How large collages are. 1024 x 512 pixels are two of the tiles providers charge for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Collage {
@@ -182,7 +192,7 @@ mod tests {
         assert_eq!(single.dimensions(), (512, 512));
     }
 
-    /// What the model gets: letters at least 20 pixels tall with a contrast of at least 7 : 1 (WCAG AAA), and a red outline where the
+    /// What the model gets: letters at least 16 pixels tall with a contrast of at least 7 : 1 (WCAG AAA), and a red outline where the
     /// object is, also on a photograph four times as large.
     #[test]
     fn the_label_is_readable_and_the_box_is_there() {

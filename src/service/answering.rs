@@ -10,7 +10,7 @@ use super::{Service, transcripts};
 use crate::error::Error;
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::grounding::query::{BuiltinParser, ParsedQuery, QueryParser, Reading, VlmParser};
-use crate::grounding::vlm::{Options, Outcome};
+use crate::grounding::vlm::{Options, Outcome, reasoner_name};
 use crate::grounding::{
     self, Alternative, Candidate, Grounding, ParsedQuerySummary, Question, SceneView, ShortlistScoring, SixFields, Status, Timings,
 };
@@ -279,7 +279,8 @@ impl Service {
                 decision.apply(&mut grounding, &brief, &parse.instances);
                 // Where the geometry had to choose, the model did not.
                 let degraded = matches!(decision.outcome, Outcome::Projected(_) | Outcome::Unknown);
-                let reasoner = if decision.outcome == Outcome::Unknown { BUILTIN_REASONER.to_owned() } else { Self::reasoner_name(vlm) };
+                let reasoner =
+                    if decision.outcome == Outcome::Unknown { BUILTIN_REASONER.to_owned() } else { reasoner_name(vlm.client.model()) };
                 (decision.corrections, degraded, reasoner)
             }
             Err(undecided) if request.reasoner == ReasonerChoice::Vlm => return Err(undecided.error.into()),

@@ -10,7 +10,6 @@ use crate::render::{Scenery, Shot, close_ups};
 use crate::scene::{Instance, InstanceId};
 use crate::scene_parsing::evidence::Picture;
 use camino::{Utf8Path, Utf8PathBuf};
-use image::RgbImage;
 use std::fs;
 use std::sync::Arc;
 
@@ -75,7 +74,7 @@ impl Stored<'_> {
         if shots.is_empty() { close_ups(scenery, &instance.aabb) } else { shots }
     }
 
-    fn scenery(&self) -> Result<Arc<Scenery>, Error> {
+    pub fn scenery(&self) -> Result<Arc<Scenery>, Error> {
         if let Some(known) = self.caches.sceneries.get(self.parse_id) {
             return Ok(known);
         }
@@ -86,7 +85,7 @@ impl Stored<'_> {
 }
 
 /// A stored view. One that can not be read is left out: the others still show the thing.
-fn shot(views: &Utf8Path, id: InstanceId, view: usize, [left, top, right, bottom]: [u32; 4]) -> Option<Shot> {
+fn shot(views: &Utf8Path, id: InstanceId, view: usize, box_px: [u32; 4]) -> Option<Shot> {
     let read = |picture| {
         let file = views.join(view_file(id.0, view, picture));
         let decoded = fs::read(&file)
@@ -97,8 +96,5 @@ fn shot(views: &Utf8Path, id: InstanceId, view: usize, [left, top, right, bottom
             .inspect_err(|error| tracing::warn!(%file, error, "an evidence picture can not be read"))
             .ok()
     };
-    let (crop, frame): (RgbImage, RgbImage) = (read(Picture::Crop)?, read(Picture::Frame)?);
-    let (width, height) = (frame.width() as f32, frame.height() as f32);
-    let place = [left as f32 / width, top as f32 / height, right as f32 / width, bottom as f32 / height];
-    Some(Shot { crop, frame, place })
+    Some(Shot::new(read(Picture::Crop)?, read(Picture::Frame)?, box_px))
 }

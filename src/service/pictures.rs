@@ -1,9 +1,9 @@
 //! The pictures that go with an answer.
 
+use super::evidence::Stored;
 use super::{Answer, Service};
 use crate::error::Error;
-use crate::ingest;
-use crate::render::{BoxStyle, LabelledBox, ROOM_VIEW, Scenery, jpeg, scene_picture};
+use crate::render::{BoxStyle, LabelledBox, ROOM_VIEW, jpeg, scene_picture};
 use crate::scene::InstanceId;
 use std::collections::BTreeMap;
 use tokio::task::spawn_blocking;
@@ -35,11 +35,11 @@ impl Service {
         let row = self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
         let answer: Answer = serde_json::from_str(&row.body)?;
         let parse = self.loaded_parse(&row.parse_id).await?;
-        let cloud_file = self.store.blobs.parse(&row.parse_id).join("cloud.ply");
+        let (caches, folder) = (self.caches.clone(), self.store.blobs.parse(&row.parse_id));
         let permit = self.turn().await?;
         spawn_blocking(move || {
             let _permit = permit;
-            let cloud = ingest::read_cloud(&cloud_file)?;
+            let scenery = Stored { parse_id: &row.parse_id, parse: &parse, folder, caches: &caches }.scenery()?;
             // Later boxes lie on top: candidates, anchor, answer.
             let mut boxes: BTreeMap<(u8, u32), LabelledBox> = BTreeMap::new();
             let mut mark = |id: InstanceId, order: u8, style: BoxStyle| {
@@ -57,7 +57,7 @@ impl Service {
             if let Some(chosen) = answer.answer.predicted_id {
                 mark(chosen, 2, BoxStyle::Answer);
             }
-            let picture = scene_picture(&Scenery::of(cloud), &parse.extent, &ROOM_VIEW, &boxes.into_values().collect::<Vec<_>>());
+            let picture = scene_picture(&scenery, &parse.extent, &ROOM_VIEW, &boxes.into_values().collect::<Vec<_>>());
             Ok(jpeg(&picture))
         })
         .await?

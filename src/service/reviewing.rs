@@ -7,7 +7,7 @@ use super::questions::{GroundRequest, ParserChoice, ReasonerChoice};
 use super::vlm::Vlm;
 use crate::error::Error;
 use crate::grounding::vlm::{
-    Brief, Conversation, Decision, EvidenceMode, Exhibits, MAX_CALLS, Options, PROMPT_VERSION, PictureSettings, Undecided, decide, naming,
+    Brief, Conversation, Decision, EvidenceMode, Exhibits, MAX_CALLS, Options, PictureSettings, Undecided, decide, naming,
 };
 use crate::models::chat::{CallRecord, OverBudget, Picture, Purse, Session};
 use std::collections::BTreeMap;
@@ -53,11 +53,6 @@ impl Service {
         }
     }
 
-    /// Name and version of the model as it reasons.
-    pub(super) fn reasoner_name(vlm: &Vlm) -> String {
-        format!("{} (prompt {PROMPT_VERSION})", vlm.client.model())
-    }
-
     /// Shows the model a question and hears it out. Names it gave on the way are kept.
     pub(super) async fn review(&self, vlm: &Vlm, case: Case<'_>, purses: Vec<Purse>) -> Result<Review, Error> {
         let Case { parse_id, parse, brief, options, calls_made } = case;
@@ -98,21 +93,8 @@ impl Service {
         spawn_blocking(move || {
             let _permit = permit;
             let stored = Stored { parse_id: &parse_id, parse: &parse, folder, caches: &caches };
-            let settings = match evidence {
-                EvidenceMode::Full => PictureSettings::full(),
-                EvidenceMode::CachedNames => PictureSettings::frugal(),
-            };
-            let exhibits = stored.exhibits(&brief, &settings)?;
-            let unnamed: Vec<_> = match evidence {
-                EvidenceMode::Full => Vec::new(),
-                EvidenceMode::CachedNames => brief
-                    .candidates
-                    .iter()
-                    .map(|c| c.id)
-                    .filter(|id| !names.contains_key(&id.0))
-                    .take(naming::PER_SHEET)
-                    .collect(),
-            };
+            let exhibits = stored.exhibits(&brief, &PictureSettings::of(evidence))?;
+            let unnamed = brief.unnamed(&names, evidence);
             let sheet = (!unnamed.is_empty()).then(|| stored.sheet(1, &unnamed)).transpose()?;
             Ok((brief, exhibits, sheet.map(|sheet| (sheet, unnamed.iter().map(|id| id.0).collect()))))
         })

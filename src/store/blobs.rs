@@ -163,3 +163,21 @@ impl Blobs {
         Ok(())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_kept_long_enough_goes() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = Blobs::open(Utf8Path::from_path(data.path()).unwrap()).unwrap();
+        for id in ["a", "b"] {
+            fs::create_dir(blobs.answer(id)).unwrap();
+        }
+        let (day, now) = (Duration::from_hours(24), SystemTime::now());
+        assert_eq!(blobs.forget_answers(day, now + day / 2).unwrap(), 0);
+        assert_eq!(blobs.forget_answers(day, now + day * 2).unwrap(), 2);
+        assert!(!blobs.answer("a").exists());
+    }
+}

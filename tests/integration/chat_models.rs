@@ -50,9 +50,10 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
 
     // A wrong key is wrong at once, and is not repeated in the message.
     let script = Script::default();
-    let url = script.serve(vec![fails(401, "bad key")]).await;
+    let url = script.serve(vec![fails(401, "bad key: sk-secret-key")]).await;
     let error = client(url, Tape::None).ask(&question("a")).await.unwrap_err();
     assert!(!format!("{error:?} {error}").contains("sk-secret") && script.calls() == 1, "{error:?}");
+    assert!(error.to_string().contains("bad key: <key>"), "{error}");
 }
 
 #[tokio::test]

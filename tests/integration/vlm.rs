@@ -7,7 +7,7 @@ use std::fs;
 use std::time::Duration;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground::grounding::Status;
-use uniground::jobs::Job;
+use uniground::jobs::{Job, JobState};
 use uniground::service::{Ablation, Answer, EvidenceMode, GroundRequest, PromptPart, ReasonerChoice};
 
 const QUERY: &str = "the mug on the coffee table";
@@ -430,6 +430,13 @@ async fn a_caller_who_leaves_stops_the_call() {
     assert!(asked.is_err() && script.calls() == 1, "the model stalls");
     // Dropping the request has closed its connection, and the service the model's.
     tokio::time::timeout(Duration::from_secs(5), script.left.cancelled()).await.unwrap();
+    // So does cancelling a job that has the model name things.
+    let job = server.client.name_instances(&scene).await.unwrap();
+    while script.calls() < 2 {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    server.client.cancel_job(&job.id).await.unwrap();
+    assert_eq!(finished(&server.client, &job.id).await.state, JobState::Cancelled);
     // A limit of the question's own.
     let limited = GroundRequest { timeout_s: Some(0.5), ..by(ReasonerChoice::Vlm) };
     assert_eq!(problem(server.client.ground(&scene, &limited).await).code, "question_timed_out");
@@ -447,6 +454,28 @@ async fn what_is_not_to_be_kept_is_not() {
     assert!(server.stored("blobs/answers").is_empty());
     assert_eq!(problem(server.client.answer_reply(&answer.id).await).code, "no_transcript");
     assert!(server.client.bytes(&answer.evidence.unwrap()[0]).await.is_ok(), "the room can always be drawn");
+    server.stop().await;
+}
+
+/// What can not be held to is refused rather than ignored.
+#[tokio::test(flavor = "multi_thread")]
+async fn budgets_need_prices() {
+    let script = Script::default();
+    let free = VlmConfig { vlm_prompt_usd: 0.0, vlm_completion_usd: 0.0, ..config(&script.serve(vec![says("Predicted ID: none")]).await) };
+    for (wrong, told) in [
+        (VlmConfig { vlm_daily_usd: Some(1.0), ..free.clone() }, "--vlm-daily-usd needs"),
+        (VlmConfig { vlm_prompt_usd: -1.0, ..free.clone() }, "--vlm-prompt-usd: must be 0 or more"),
+        (VlmConfig { vlm_model: None, ..free.clone() }, "--vlm-url needs --vlm-model"),
+    ] {
+        let error = wrong.client(uniground::models::chat::Tape::None).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains(told), "{error}");
+    }
+    let (server, scene) = start(free).await;
+    let limited = GroundRequest { max_cost_usd: Some(1.0), ..ask(QUERY) };
+    let error = problem(server.client.ground(&scene, &limited).await);
+    assert_eq!((error.status, error.errors[0].pointer.as_str(), script.calls()), (422, "/max_cost_usd", 0));
+    let unasked = GroundRequest { reasoner: ReasonerChoice::Builtin, ..limited };
+    assert!(server.client.ground(&scene, &unasked).await.is_ok());
     server.stop().await;
 }
 

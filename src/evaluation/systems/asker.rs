@@ -5,8 +5,8 @@ use crate::geometry::boxes::Aabb;
 use crate::grounding::Grounding;
 use crate::grounding::query::{ParsedQuery, QueryParser, VlmParser};
 use crate::grounding::vlm::{
-    Brief, Conversation, Decision, EvidenceMode, Exhibits, MAX_CALLS, Options, PROMPT_VERSION, PictureSettings, Undecided, collages,
-    decide, global, naming,
+    Brief, Conversation, Decision, EvidenceMode, Exhibits, MAX_CALLS, Options, Outcome, PictureSettings, Undecided, collages, decide,
+    global, naming, reasoner_name,
 };
 use crate::ingest::Unpacked;
 use crate::models::chat::{CallRecord, ChatClient, Picture, Purse, Session};
@@ -28,7 +28,7 @@ pub(super) struct Asker {
 
 /// The photographs of a scene, and what has been made of them.
 pub(super) struct Album {
-    pub frames: Vec<FrameRef>,
+    frames: Vec<FrameRef>,
     /// Where the frames lie; a temporary folder goes with it.
     _folder: Option<Unpacked>,
     /// By instance, full and frugal.
@@ -44,9 +44,7 @@ impl Album {
     fn shots(&self, instance: &Instance, scenery: &Scenery) -> Vec<Shot> {
         let shot = |view: &crate::scene::View| {
             let frame = self.frames.iter().find(|frame| frame.index == view.frame)?.decode_color().ok()?;
-            let (width, height) = (frame.width() as f32, frame.height() as f32);
-            let [left, top, right, bottom] = view.box_px.map(|v| v as f32);
-            Some(Shot { crop: evidence::crop(&frame, view), place: [left / width, top / height, right / width, bottom / height], frame })
+            Some(Shot::new(evidence::crop(&frame, view), frame, view.box_px))
         };
         let shots: Vec<Shot> = instance.views.iter().filter_map(shot).collect();
         if shots.is_empty() && !scenery.cloud.is_empty() { close_ups(scenery, &instance.aabb) } else { shots }
@@ -59,6 +57,12 @@ pub(super) struct Room<'a> {
     pub scenery: &'a Scenery,
     pub extent: Aabb,
     pub album: &'a Album,
+}
+
+impl Room<'_> {
+    fn shots(&self, id: InstanceId) -> Vec<Shot> {
+        self.instances.get(id.0 as usize - 1).map_or_else(Vec::new, |i| self.album.shots(i, self.scenery))
+    }
 }
 
 impl Asker {
@@ -76,10 +80,6 @@ impl Asker {
         self.parser().name()
     }
 
-    pub fn reasoner_name(&self) -> String {
-        format!("{} (prompt {PROMPT_VERSION})", self.client.model())
-    }
-
     /// Reads a question. A call that failed is no answer of the configuration: it is told, counted as wrong, and asked again next time.
     pub fn read(&self, query: &str) -> anyhow::Result<(ParsedQuery, Vec<CallRecord>)> {
         let reading = self.runtime.block_on(self.parser().read(query));
@@ -90,14 +90,14 @@ impl Asker {
         Ok((reading.parsed, reading.calls))
     }
 
-    /// Lets the model decide.
+    /// Lets the model decide. Its name comes back unless it never said anything that can be used, and the geometry's answer stands.
     pub fn review(
         &self,
         room: &Room,
         brief: &Brief,
         grounding: &mut Grounding,
         configuration: &Configuration,
-    ) -> anyhow::Result<Vec<CallRecord>> {
+    ) -> anyhow::Result<(Vec<CallRecord>, Option<String>)> {
         let options = Options { ablation: configuration.ablation, evidence: configuration.evidence, json: self.json };
         let uses_names = options.evidence == EvidenceMode::CachedNames;
         let names: BTreeMap<u32, String> = match uses_names {
@@ -111,23 +111,10 @@ impl Asker {
             }
             false => BTreeMap::new(),
         };
-        let settings = if uses_names { PictureSettings::frugal() } else { PictureSettings::full() };
-        let exhibits = exhibits(room, brief, &settings);
-        let unnamed: Vec<&Instance> = match uses_names {
-            true => brief
-                .candidates
-                .iter()
-                .filter(|c| !names.contains_key(&c.id.0))
-                .filter_map(|c| room.instances.get(c.id.0 as usize - 1))
-                .take(naming::PER_SHEET)
-                .collect(),
-            false => Vec::new(),
-        };
+        let exhibits = exhibits(room, brief, &PictureSettings::of(options.evidence));
+        let unnamed = brief.unnamed(&names, options.evidence);
         // What nobody can see is not asked about.
-        let shots: Vec<_> = unnamed
-            .iter()
-            .filter_map(|i| Some((i.id, room.album.shots(i, room.scenery).into_iter().next()?)))
-            .collect();
+        let shots: Vec<_> = unnamed.iter().filter_map(|id| Some((*id, room.shots(*id).into_iter().next()?))).collect();
         let unnamed = (!shots.is_empty()).then(|| (naming::sheet(1, &shots), shots.iter().map(|(id, _)| id.0).collect()));
         let conversation = Conversation { brief, exhibits: &exhibits, options, names, unnamed };
         let mut session = Session::new(&self.client, self.purses.clone(), MAX_CALLS);
@@ -136,7 +123,8 @@ impl Asker {
         room.album.names.lock().unwrap_or_else(PoisonError::into_inner).extend(new_names.clone());
         let decision = decision.context("the model could not be asked")?;
         decision.apply(grounding, brief, room.instances);
-        Ok(session.into_records())
+        let decided = decision.outcome != Outcome::Unknown;
+        Ok((session.into_records(), decided.then(|| reasoner_name(self.client.model()))))
     }
 }
 
@@ -152,9 +140,8 @@ fn exhibits(room: &Room, brief: &Brief, settings: &PictureSettings) -> Exhibits 
             .filter(|id| !known.contains_key(&(id.0, shots_each)))
             .collect()
     };
-    let shots = |id: InstanceId| room.instances.get(id.0 as usize - 1).map_or_else(Vec::new, |i| room.album.shots(i, room.scenery));
     // Drawn without the lock: whoever waits here may be given another question to work on, which would wait for it for ever.
-    let drawn = collages(&missing, shots, settings.collage);
+    let drawn = collages(&missing, |id| room.shots(id), settings.collage);
     let mut known = known();
     known.extend(drawn.into_iter().map(|(id, picture)| ((id, shots_each), picture)));
     let of_candidates = brief.candidates.iter().filter_map(|c| Some((c.id.0, known.get(&(c.id.0, shots_each))?.clone())));

@@ -226,11 +226,12 @@ impl OpenScene for LocalScene {
         let grounding = match self.vlm.as_ref().filter(|_| configuration.reasoner != ReasonerChoice::Builtin) {
             None => grounding::ground_read(view, &question, parsed, reading),
             Some(asker) => {
-                models.reasoner = asker.reasoner_name();
                 let (mut grounding, brief) = grounding::ground_and_brief(view, &question, parsed, reading);
                 if !brief.candidates.is_empty() {
                     let room = Room { instances, scenery: &self.scenery, extent: self.extent, album: &self.album };
-                    calls.extend(asker.review(&room, &brief, &mut grounding, configuration)?);
+                    let (of_review, reasoner) = asker.review(&room, &brief, &mut grounding, configuration)?;
+                    calls.extend(of_review);
+                    models.reasoner = reasoner.unwrap_or(models.reasoner);
                 }
                 grounding
             }

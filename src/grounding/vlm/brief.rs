@@ -1,5 +1,7 @@
 //! What a model is told about a question: candidates, anchors, directions. Nothing of it depends on the model.
 
+use super::EvidenceMode;
+use super::naming::PER_SHEET;
 use crate::geometry::Vector3;
 use crate::geometry::boxes::Aabb;
 use crate::grounding::answer::{Grounding, ParsedQuerySummary};
@@ -8,6 +10,7 @@ use crate::grounding::direction::Directions;
 use crate::grounding::query::{ParsedQuery, Phrase};
 use crate::render::{BoxStyle, DirectionWord, LabelledBox, Subjects};
 use crate::scene::InstanceId;
+use std::collections::BTreeMap;
 
 /// A question and what is known before a model is asked.
 #[derive(Debug, Clone, PartialEq)]
@@ -79,6 +82,17 @@ impl Brief {
             directions,
             seen_by,
         }
+    }
+
+    /// Candidates to be named before they are decided on: where names are used, the first that have none, as many as fit on a sheet.
+    #[must_use]
+    pub fn unnamed(&self, names: &BTreeMap<u32, String>, evidence: EvidenceMode) -> Vec<InstanceId> {
+        let without = self
+            .candidates
+            .iter()
+            .map(|c| c.id)
+            .filter(|id| evidence == EvidenceMode::CachedNames && !names.contains_key(&id.0));
+        without.take(PER_SHEET).collect()
     }
 
     #[must_use]

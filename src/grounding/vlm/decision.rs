@@ -35,8 +35,7 @@ pub struct Decision {
     pub corrections: Vec<String>,
 }
 
-/// What a model's word weighs beside the geometry's in the confidence: when it held together at once, after a correction, and when the
-/// geometry had to choose.
+/// What a model's word weighs beside the geometry's in the confidence: when it held together at once, and after a correction.
 const SURE: f32 = 0.7;
 const CORRECTED: f32 = 0.4;
 /// Boxes that overlap by this much are the same thing.

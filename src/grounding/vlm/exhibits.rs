@@ -1,6 +1,6 @@
 //! The pictures a model gets: the global render and a collage for every candidate.
 
-use super::Brief;
+use super::{Brief, EvidenceMode};
 use crate::geometry::boxes::Aabb;
 use crate::models::chat::Picture;
 use crate::render::{Collage, GlobalView, Scenery, Shot, jpeg};
@@ -25,15 +25,21 @@ pub struct PictureSettings {
 }
 
 impl PictureSettings {
-    /// Paper: three views of 680 x 680 pixels, collages of three pairs.
     #[must_use]
-    pub fn full() -> Self {
+    pub fn of(evidence: EvidenceMode) -> Self {
+        match evidence {
+            EvidenceMode::Full => Self::full(),
+            EvidenceMode::CachedNames => Self::frugal(),
+        }
+    }
+
+    /// Paper: three views of 680 x 680 pixels, collages of three pairs.
+    fn full() -> Self {
         Self { global: GlobalView::default(), collage: Collage::default() }
     }
 
     /// Where names stand for most of the pictures: three views in three tiles, one photograph of a candidate in one.
-    #[must_use]
-    pub fn frugal() -> Self {
+    fn frugal() -> Self {
         let collage = Collage { max_shots: 1, ..Collage::default() };
         Self { global: GlobalView { view_px: 508, ..GlobalView::default() }, collage }
     }

@@ -18,7 +18,7 @@ pub mod reply;
 pub use brief::{Brief, BriefAnchor, BriefCandidate};
 pub use decision::{Decision, Outcome};
 pub use exhibits::{Exhibits, PictureSettings, collages, global};
-pub use prompt::PROMPT_VERSION;
+pub use prompt::reasoner_name;
 
 use crate::models::chat::{AskError, ChatRequest, Picture, Session};
 use prompt::Correction;

@@ -12,7 +12,13 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// Raised when what models are told changes.
-pub const PROMPT_VERSION: u32 = 1;
+const PROMPT_VERSION: u32 = 1;
+
+/// Name and version of a model as it reasons, recorded with answers.
+#[must_use]
+pub fn reasoner_name(model: &str) -> String {
+    format!("{model} (prompt {PROMPT_VERSION})")
+}
 
 const SYSTEM: &str = "You are a helpful assistant designed to identify objects based on images and descriptions.";
 const SIMPLE_SYSTEM: &str = "You are a helpful assistant. Identify the object ID that matches the description.";

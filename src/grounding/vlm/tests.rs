@@ -178,6 +178,19 @@ fn picture_and_prompt_tell_the_same_directions() {
     }
 }
 
+/// "Facing the wardrobe" where there is none: the observer's directions hold, and the prompt says whose they are.
+#[test]
+fn directions_are_told_by_whose_they_are() {
+    let observer = Observer { position: [0.0; 3], yaw_rad: 0.0 };
+    for (query, observer, told) in [
+        ("facing the table, the chair on the left", Some(observer), "as seen by somebody facing the table"),
+        ("facing the theremin, the chair on the left", Some(observer), "as seen by the observer who asks"),
+        (QUERY, None, "by the convention \"paper\""),
+    ] {
+        assert_eq!(asked(query, observer).1.seen_by, told, "{query}");
+    }
+}
+
 fn decided(text: &str, brief: &Brief) -> Decision {
     let mut decision = Decision::default();
     let reply = reply::read(text);

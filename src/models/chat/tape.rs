@@ -94,3 +94,23 @@ fn read(path: &Utf8Path) -> anyhow::Result<(HashMap<String, ChatReply>, Option<S
     }
     Ok((known, model))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_tape_that_was_cut_off_is_continued() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = Utf8Path::from_path(folder.path()).unwrap().join("tape.jsonl");
+        let reply = |text: &str| ChatReply { text: text.into(), prompt_tokens: 1, completion_tokens: 1, attempts: 1, latency_ms: 0.0 };
+        Tape::record(&path).unwrap().record_reply("one", "m", &reply("1")).unwrap();
+        let whole = fs::read_to_string(&path).unwrap();
+        fs::write(&path, format!("{whole}{}", &whole[..whole.len() / 2])).unwrap();
+        let again = Tape::record(&path).unwrap();
+        assert_eq!(again.reply("one"), Some(reply("1")));
+        again.record_reply("two", "m", &reply("2")).unwrap();
+        let (played, _) = Tape::replay(&path).unwrap();
+        assert_eq!((played.reply("one"), played.reply("two")), (Some(reply("1")), Some(reply("2"))));
+    }
+}

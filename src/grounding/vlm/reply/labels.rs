@@ -3,7 +3,7 @@
 use super::Field;
 
 /// How models write the fields' names, in lower case. Longer ones come before what they begin with.
-const LABELS: &[(Field, &str)] = &[
+pub(super) const LABELS: &[(Field, &str)] = &[
     (Field::PredictedId, "predicted object id"),
     (Field::PredictedId, "predicted target id"),
     (Field::PredictedId, "predicted id"),

@@ -123,17 +123,19 @@ proptest! {
         let _ = read(&text);
     }
 
-    /// An id stands in the text as a whole number: within the id field, or alone.
+    /// An id stands behind the label of its field, or it is all there is.
     #[test]
     fn an_id_is_in_its_field(text in pieces()) {
         if let Choice::Id(id) = read(&text).predicted {
             let plain = normalised(&text);
-            let alone = plain.split(|c: char| !c.is_ascii_digit()).any(|digits| digits.trim_start_matches('0') == id.to_string().trim_start_matches('0'));
-            prop_assert!(alone, "{id} of {text:?}");
-            let compact: String = plain.to_ascii_lowercase().chars().filter(char::is_ascii_alphanumeric).collect();
-            let is_field = compact.contains("predictedid");
-            let is_bare = plain.split('>').next_back().unwrap_or_default().chars().filter(char::is_ascii_digit).count() > 0 || plain.trim().len() <= 60;
-            prop_assert!(is_field || is_bare, "{id} of {text:?}");
+            let said = without_thoughts(&plain);
+            let lower = said.to_ascii_lowercase();
+            let label = labels::LABELS.iter().filter(|(field, _)| *field == Field::PredictedId).filter_map(|(_, label)| lower.find(label)).min();
+            let numbers = |text: &str| text.split(|c: char| !c.is_ascii_digit()).filter_map(|n| n.parse::<u32>().ok()).collect::<Vec<_>>();
+            match label {
+                Some(at) => prop_assert!(numbers(&said[at..]).contains(&id), "{id} of {text:?}"),
+                None => prop_assert!(said.trim().len() <= 60 && numbers(said).iter().all(|n| *n == id || *n == 0), "{id} of {text:?}"),
+            }
         }
     }
 
