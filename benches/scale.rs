@@ -11,13 +11,13 @@ use comfy_table::{Table, presets};
 use std::sync::mpsc;
 use std::time::{Duration, Instant};
 use tokio_util::sync::CancellationToken;
-use uniground::evaluation::annotated::Room;
-use uniground::geometry::Vector3;
-use uniground::progress::Progress;
-use uniground::scene::SceneBundle;
-use uniground::scene_parsing::checkpoints::Checkpoints;
-use uniground::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground::scene_parsing::{self, ParsingSettings, Perception};
+use uniground::evaluation::annotated::AnnotatedRoom;
+use uniground_core::geometry::Vector3;
+use uniground_core::progress::Progress;
+use uniground_core::scene::SceneBundle;
+use uniground_core::scene_parsing::checkpoints::Checkpoints;
+use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
+use uniground_core::scene_parsing::{self, ParsingSettings, Perception};
 
 const FRAMES_PER_ROOM: usize = 75;
 /// Rooms stand this far apart, metres.
@@ -31,7 +31,9 @@ fn main() {
         return;
     }
     let temporary = tempfile::tempdir().unwrap();
-    let room = Room::load(&folder, "room1", Utf8Path::from_path(temporary.path()).unwrap()).unwrap().bundle;
+    let room = AnnotatedRoom::load(&folder, "room1", Utf8Path::from_path(temporary.path()).unwrap())
+        .unwrap()
+        .bundle;
 
     let mut table = Table::new();
     table.load_preset(presets::ASCII_MARKDOWN);
@@ -68,7 +70,7 @@ fn main() {
     );
 }
 
-fn parse(bundle: SceneBundle, progress: &Progress) -> Result<uniground::scene::ParsedScene, scene_parsing::ParseError> {
+fn parse(bundle: SceneBundle, progress: &Progress) -> Result<uniground_core::scene::ParsedScene, scene_parsing::ParseError> {
     scene_parsing::parse(
         bundle,
         &Perception::with_masks(&RgbdMasks::default()),
@@ -79,13 +81,13 @@ fn parse(bundle: SceneBundle, progress: &Progress) -> Result<uniground::scene::P
 }
 
 fn side_by_side(room: &SceneBundle, rooms: usize) -> SceneBundle {
-    let mut all = SceneBundle { cloud: uniground::scene::PointCloud::default(), frames: Vec::new(), report: room.report.clone() };
+    let mut all = SceneBundle { cloud: uniground_core::scene::PointCloud::default(), frames: Vec::new(), report: room.report.clone() };
     for k in 0..rooms {
         let shift = Vector3::new(k as f32 * STEP_M, 0.0, 0.0);
         all.cloud.positions.extend(room.cloud.positions.iter().map(|p| p + shift));
         all.cloud.colours.extend(&room.cloud.colours);
         for mut frame in room.frames.iter().cycle().take(FRAMES_PER_ROOM).cloned() {
-            frame.index = uniground::scene::FrameIndex(all.frames.len() as u32);
+            frame.index = uniground_core::scene::FrameIndex(all.frames.len() as u32);
             frame.camera_to_world.translation.vector += shift;
             all.frames.push(frame);
         }
@@ -102,7 +104,10 @@ fn seconds_to_stop(bundle: SceneBundle, at: f32) -> f32 {
                 let _ = reached.send(());
             }
         },
-        cancel.clone(),
+        {
+            let cancel = cancel.clone();
+            move || cancel.is_cancelled()
+        },
     );
     let worker = std::thread::spawn(move || parse(bundle, &progress).map(|parsed| parsed.report.instances));
     // Not at the report itself, where it would be noticed at once, but a moment later.

@@ -10,7 +10,7 @@ use std::fs;
 use std::io::{self, BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
-use uniground::client::Client;
+use uniground_client::Client;
 
 const QUESTIONS: [&str; 4] = ["find the coffee table", "the orange stool", "the mug on the coffee table", "the green fridge"];
 const ROUNDS: usize = 1000;

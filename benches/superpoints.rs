@@ -11,11 +11,12 @@ mod vccs;
 use camino::{Utf8Path, Utf8PathBuf};
 use comfy_table::{Table, presets};
 use std::time::Instant;
-use uniground::evaluation::annotated::Room;
+use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground::evaluation::segmentation::{SuperpointScore, score_superpoints};
-use uniground::geometry::statistics::median;
-use uniground::progress::Progress;
-use uniground::scene_parsing::superpoints::{self, SuperpointSettings};
+use uniground_core::geometry::statistics::median;
+use uniground_core::progress::Progress;
+use uniground_core::scene_parsing::superpoints;
+use uniground_types::settings::SuperpointSettings;
 use vccs::Vccs;
 
 const RUNS: usize = 9;
@@ -39,7 +40,7 @@ fn main() {
     }
     let temporary = tempfile::tempdir().unwrap();
     let scratch = Utf8Path::from_path(temporary.path()).unwrap();
-    let room = Room::load(&folder, "room1", scratch).unwrap();
+    let room = AnnotatedRoom::load(&folder, "room1", scratch).unwrap();
     let pcl = pcl.map(|program| Vccs::new(&program, &room.bundle.cloud, scratch).unwrap());
 
     let ours = |settings: SuperpointSettings| {

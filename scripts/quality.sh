@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
-# Scores the annotated rooms with the built-in parts and fails on a drop against benches/quality.json that is more than luck.
+# Scores the annotated rooms with the built-in parts and fails on a drop against benches/quality.json that is more than luck. The baseline
+# is of the rooms this was developed with; what the others come to is printed, and holds nothing.
 # UPDATE=1 writes the baseline instead.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -11,7 +12,22 @@ if [ ! -d "$rooms" ]; then
     [ -z "${UNIGROUND_REQUIRE_SHARED:-}" ]
     exit
 fi
+folders=$(mktemp -d)
+trap 'rm -rf "$folders"' EXIT
+mkdir "$folders/scenes" "$folders/others"
+for file in "$rooms"/*.zip "$rooms"/*.queries.json "$rooms"/*.scene.json; do
+    room=$(basename "$file" | cut -d. -f1)
+    if [ ! -f "$rooms/$room.queries.json" ]; then continue; fi
+    if grep -q "\"$room#" "$baseline" || [ -n "${UPDATE:-}" ]; then kind=scenes; else kind=others; fi
+    ln -s "$(realpath "$file")" "$folders/$kind/"
+done
+matrix="source=parsed,oracle-boxes,oracle;top_k=10"
+label=$(git rev-parse --short HEAD 2>/dev/null || echo unknown)
+if [ -n "$(ls "$folders/others")" ]; then
+    echo "Rooms nobody has developed with:"
+    ./target/release/uniground eval "$folders/others" --out target/quality-others --matrix "$matrix" --label "$label"
+    echo "Rooms of the baseline:"
+fi
 against=(--baseline "$baseline")
 [ -n "${UPDATE:-}" ] && against=(--write-baseline "$baseline")
-./target/release/uniground eval "$rooms" --out target/quality --matrix "source=parsed,oracle-boxes,oracle;top_k=10" \
-    --label "$(git rev-parse --short HEAD 2>/dev/null || echo unknown)" "${against[@]}"
+./target/release/uniground eval "$folders/scenes" --out target/quality --matrix "$matrix" --label "$label" "${against[@]}"

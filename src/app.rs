@@ -1,13 +1,12 @@
 //! Composition root: configuration to parts to a running service to a clean stop. The only place that knows every part.
 
+use crate::chat::ReplayCache;
 use crate::config::ServeConfig;
 use crate::http::{self, App};
-use crate::jobs::Jobs;
-use crate::models::chat::Tape;
-use crate::service::{NAMING_JOB, PARSE_JOB, Service, Vlm, VlmSettings};
+use crate::jobs::{JobKind, Jobs};
+use crate::service::{NamingJob, ParseJob, Service, Vlm, VlmSettings};
 use crate::store::Store;
 use anyhow::Context;
-use std::collections::HashMap;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,6 +14,7 @@ use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
+use uniground_core::background;
 
 /// A service that listens.
 pub struct RunningService {
@@ -22,7 +22,7 @@ pub struct RunningService {
     pub address: SocketAddr,
     shutdown: CancellationToken,
     server: JoinHandle<std::io::Result<()>>,
-    worker: JoinHandle<()>,
+    lanes: Vec<JoinHandle<()>>,
     service: Service,
     store: Store,
 }
@@ -46,31 +46,38 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         tracing::info!(name = model.name, fingerprint = model.fingerprint, runs_on = model.runs_on, "loaded a model");
     }
     let vlm_settings = VlmSettings { daily_usd: config.vlm.vlm_daily_usd, json: config.vlm.vlm_json };
-    let vlm = config.vlm.client(Tape::None)?.map(|client| Vlm::new(client, vlm_settings));
-    let service = Service::new(store.clone(), jobs.clone(), config.limits.service_limits(), vlm, models);
+    let vlm = config.vlm.client(ReplayCache::Off)?.map(|client| Vlm::new(Arc::new(client), vlm_settings));
+    let parsing = background::pool().context("threads for parses")?;
+    let service = Service::new(store.clone(), jobs.clone(), config.limits.service_limits(), vlm, models, parsing);
     let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
 
     let shutdown = CancellationToken::new();
-    let worker_ended = CancellationToken::new();
-    let handlers = HashMap::from([(PARSE_JOB, service.parse_handler()), (NAMING_JOB, service.naming_handler())]);
-    let worker = tokio::spawn({
-        let (shutdown, worker_ended) = (shutdown.clone(), worker_ended.clone());
-        async move {
-            // Dropped however the worker ends, so that /readyz learns of it.
-            let _ended = worker_ended.drop_guard();
-            if let Err(error) = jobs.work(&handlers, shutdown).await {
-                tracing::error!(error = &error as &dyn std::error::Error, "the job worker stopped");
-            }
-        }
-    });
+    let lane_ended = CancellationToken::new();
+    jobs.refuse_unknown_kinds(&[ParseJob::NAME, NamingJob::NAME]).await?;
+    let lanes = vec![
+        start_lane(&jobs, ParseJob(service.clone()), &shutdown, &lane_ended),
+        start_lane(&jobs, NamingJob(service.clone()), &shutdown, &lane_ended),
+    ];
     tokio::spawn(forget_daily(service.clone(), shutdown.clone()));
-    let router = http::router(App { service: service.clone(), api_key, shutdown: shutdown.clone(), worker: worker_ended });
+    let router = http::router(App { service: service.clone(), api_key, shutdown: shutdown.clone(), lane_ended });
     let server = tokio::spawn({
         let shutdown = shutdown.clone();
         async move { axum::serve(listener, router).with_graceful_shutdown(shutdown.cancelled_owned()).await }
     });
-    Ok(RunningService { address, shutdown, server, worker, service, store })
+    Ok(RunningService { address, shutdown, server, lanes, service, store })
+}
+
+/// Gives a kind of job its lane.
+fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken, ended: &CancellationToken) -> JoinHandle<()> {
+    let (jobs, shutdown, ended) = (jobs.clone(), shutdown.clone(), ended.clone());
+    tokio::spawn(async move {
+        // Dropped however the lane ends, so that /readyz learns of it.
+        let _ended = ended.drop_guard();
+        if let Err(error) = jobs.run_lane(Arc::new(kind), shutdown).await {
+            tracing::error!(kind = K::NAME, error = &error as &dyn std::error::Error, "a lane of jobs stopped");
+        }
+    })
 }
 
 /// Removes transcripts that were kept long enough: now, and every day.
@@ -90,13 +97,15 @@ async fn forget_daily(service: Service, shutdown: CancellationToken) {
 const GRACE: Duration = Duration::from_secs(5);
 
 impl RunningService {
-    /// Stops: no new requests, running ones finish, the running job goes back to the queue, the database is closed.
+    /// Stops: no new requests, running ones finish, running jobs go back to their queues, the database is closed.
     ///
     /// # Errors
     /// When the server had failed before.
     pub async fn stop(self) -> anyhow::Result<()> {
         self.shutdown.cancel();
-        self.worker.await?;
+        for lane in self.lanes {
+            lane.await?;
+        }
         // A caller that stalls in the middle of its request must not keep the process alive.
         let abort = self.server.abort_handle();
         let served = if let Ok(served) = timeout(GRACE, self.server).await {

@@ -1,15 +1,18 @@
 //! Configuration: every flag is also an environment variable; units are in the names.
 
+use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
 use crate::http::ApiKey;
-use crate::ingest::archive::UnpackLimits;
-use crate::models::chat::{ChatClient, Endpoint, Patience, Prices, Tape};
-use crate::models::neural::{Engine, Models, Provider, RemoteServer, RuntimeSettings, folder_of};
+use crate::inference::RemoteServer;
 use crate::service::Limits;
+use crate::words;
 use anyhow::{Context, bail, ensure};
 use camino::Utf8PathBuf;
 use std::fs;
 use std::net::SocketAddr;
 use std::time::Duration;
+use uniground_core::ingest::archive::UnpackLimits;
+use uniground_core::models::chat::Prices;
+use uniground_core::models::neural::{Engine, Models, OnnxRuntime, Provider, RuntimeSettings, folder_of};
 
 const DEFAULT_MAX_UPLOAD_BYTES: u64 = 16 << 30;
 const DEFAULT_MAX_QUEUED_JOBS: u32 = 100;
@@ -116,7 +119,7 @@ impl VlmConfig {
     ///
     /// # Errors
     /// An address without a model or the other way round, an address that is none, or an unreadable key file.
-    pub fn client(&self, tape: Tape) -> anyhow::Result<Option<ChatClient>> {
+    pub fn client(&self, replay_cache: ReplayCache) -> anyhow::Result<Option<ChatClient>> {
         let Self { vlm_url, vlm_model, vlm_api_key_file, vlm_prompt_usd, vlm_completion_usd, vlm_daily_usd, .. } = self;
         let (base_url, model) = match (vlm_url, vlm_model) {
             (None, None) => return Ok(None),
@@ -148,7 +151,7 @@ impl VlmConfig {
             ..Patience::default()
         };
         let endpoint = Endpoint { base_url, model, api_key, prices, concurrency: self.vlm_concurrency as usize };
-        Ok(Some(ChatClient::new(endpoint, patience, tape)))
+        Ok(Some(ChatClient::new(endpoint, patience, replay_cache)))
     }
 }
 
@@ -195,7 +198,7 @@ pub struct RuntimeConfig {
     #[arg(long, env = "UNIGROUND_ONNXRUNTIME_LIB", value_name = "FILE")]
     pub onnxruntime_lib: Option<Utf8PathBuf>,
     /// What networks run on; one that is not there is an error
-    #[arg(long, env = "UNIGROUND_PROVIDER", value_enum, default_value_t, value_name = "PROVIDER")]
+    #[arg(long, env = "UNIGROUND_PROVIDER", default_value_t, value_name = "PROVIDER", value_parser = words::provider())]
     pub provider: Provider,
     /// Cores a network may use [default: all]
     #[arg(long, env = "UNIGROUND_MODEL_THREADS", value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..))]
@@ -226,13 +229,13 @@ impl BundlesConfig {
     ///
     /// # Errors
     /// What is wrong with the library; an address that is none.
-    pub fn engine(&self) -> anyhow::Result<Engine> {
+    pub fn engine(&self) -> anyhow::Result<Box<dyn Engine>> {
         Ok(match &self.inference_url {
             Some(url) => {
                 ensure!(reqwest::Url::parse(url).is_ok_and(|url| url.has_host()), "--inference-url: {url} is not an address");
-                Engine::Remote(RemoteServer::new(url, Duration::from_secs(self.inference_timeout_s))?)
+                Box::new(RemoteServer::new(url, Duration::from_secs(self.inference_timeout_s))?)
             }
-            None => Engine::local(&self.runtime.settings())?,
+            None => Box::new(OnnxRuntime::load(&self.runtime.settings())?),
         })
     }
 }
@@ -256,12 +259,12 @@ impl ModelsConfig {
         if !masks && !encoder {
             return Ok(models);
         }
-        let (engine, shelf) = (self.bundles.engine()?, &self.bundles.models);
+        let (engine, bundles) = (self.bundles.engine()?, &self.bundles.models);
         if masks {
-            models = models.with_segmenter(&engine, &folder_of(&self.masks, shelf)).context("--masks")?;
+            models = models.with_segmenter(engine.as_ref(), &folder_of(&self.masks, bundles)).context("--masks")?;
         }
         if encoder {
-            models = models.with_encoder(&engine, &folder_of(&self.encoder, shelf)).context("--encoder")?;
+            models = models.with_encoder(engine.as_ref(), &folder_of(&self.encoder, bundles)).context("--encoder")?;
         }
         Ok(models)
     }

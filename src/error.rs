@@ -1,13 +1,16 @@
 //! Everything that can go wrong in a use case, without HTTP. `http/problem.rs` maps it once.
 
-use crate::ingest::IngestError;
 use crate::jobs::JobsError;
-use crate::models::chat::{AskError, OverBudget};
-use crate::models::neural::ModelError;
-use crate::scene::InstanceId;
-use crate::scene_parsing::ParseError;
 use crate::store::StoreError;
 use std::io;
+use uniground_core::grounding::pipeline::QuestionError;
+use uniground_core::ingest::IngestError;
+use uniground_core::models::chat::{AskError, OverBudget};
+use uniground_core::models::neural::ModelError;
+use uniground_core::parse::ScanError;
+use uniground_core::scene::InstanceId;
+use uniground_core::scene_parsing::ParseError;
+use uniground_types::problem::FieldError;
 
 #[derive(Debug, thiserror::Error)]
 pub enum Error {
@@ -73,6 +76,32 @@ impl From<AskError> for Error {
     }
 }
 
+impl From<QuestionError> for Error {
+    fn from(error: QuestionError) -> Self {
+        match error {
+            QuestionError::Encoder(error) => Self::Model(error),
+            QuestionError::Review(error) => error.into(),
+            QuestionError::Unread(why) => Self::VlmFailed { why, attempts: 0 },
+        }
+    }
+}
+
+impl From<ScanError> for Error {
+    fn from(error: ScanError) -> Self {
+        match error {
+            ScanError::Ingest(error) => Self::Ingest(error),
+            ScanError::Parse(error) => Self::Parse(error),
+            ScanError::Io(error) => Self::Io(error),
+        }
+    }
+}
+
+impl From<FieldError> for Error {
+    fn from(FieldError { pointer, detail }: FieldError) -> Self {
+        Self::Invalid { pointer, detail }
+    }
+}
+
 impl From<serde_json::Error> for Error {
     fn from(error: serde_json::Error) -> Self {
         Self::Store(StoreError::Record(error))
@@ -84,10 +113,24 @@ impl Error {
         Self::Invalid { pointer: pointer.into(), detail: detail.into() }
     }
 
+    /// Whether the same may go well a while later: a disk that was full, a database that was locked, a model that did not answer.
+    #[must_use]
+    pub fn may_pass(&self) -> bool {
+        matches!(
+            self,
+            Self::Store(_)
+                | Self::Io(_)
+                | Self::Overloaded
+                | Self::VlmFailed { .. }
+                | Self::Jobs(JobsError::Store(_))
+                | Self::Ingest(IngestError::Io { .. })
+        )
+    }
+
     /// Stable code of this error, part of the API.
     #[must_use]
     pub fn code(&self) -> &'static str {
-        use crate::scene::FrameError;
+        use uniground_core::scene::FrameError;
         match self {
             Self::Ingest(error) => match error {
                 IngestError::ArchiveUnreadable { .. } => "archive_unreadable",

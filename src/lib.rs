@@ -1,20 +1,14 @@
-//! uniground: 3D visual grounding as a service.
+//! uniground: 3D visual grounding as a service. The method is in [`uniground_core`], what crosses the wire in [`uniground_types`].
 pub mod app;
+pub mod chat;
 pub mod cli;
-pub mod client;
 pub mod config;
 pub mod error;
 pub mod evaluation;
-pub mod geometry;
-pub mod grounding;
 pub mod http;
-pub mod ingest;
+pub mod inference;
 pub mod jobs;
-pub mod models;
-pub mod progress;
-pub mod render;
-pub mod scene;
-pub mod scene_parsing;
 pub mod service;
 pub mod store;
 pub mod telemetry;
+mod words;

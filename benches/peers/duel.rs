@@ -1,7 +1,7 @@
 //! Two sides of one comparison, run in turns.
 
 use std::time::Duration;
-use uniground::geometry::statistics::median;
+use uniground_core::geometry::statistics::median;
 
 /// Runs that count, after one of each side that does not.
 pub const ROUNDS: usize = 9;
@@ -34,7 +34,7 @@ pub struct Comparison<'a> {
 }
 
 /// Medians of one comparison; a side that failed says why.
-pub struct Outcome {
+pub struct DuelResult {
     pub what: String,
     pub differ: String,
     pub ours: Result<Run, String>,
@@ -44,7 +44,7 @@ pub struct Outcome {
 }
 
 impl Comparison<'_> {
-    pub fn run(self) -> Outcome {
+    pub fn run(self) -> DuelResult {
         let Self { what, ours, mut peer, differ } = self;
         let bound = matches!(ours, Ours::Within(_));
         let (Ours::Same(mut side) | Ours::Within(mut side)) = ours;
@@ -54,7 +54,7 @@ impl Comparison<'_> {
             own_runs.push(turn(&mut side));
             peer_runs.push(turn(&mut peer));
         }
-        Outcome { what, differ, ours: summed_up(own_runs), peer: summed_up(peer_runs), bound }
+        DuelResult { what, differ, ours: summed_up(own_runs), peer: summed_up(peer_runs), bound }
     }
 }
 

@@ -9,16 +9,17 @@ use image::RgbImage;
 use std::collections::HashSet;
 use std::sync::Arc;
 use std::time::Instant;
-use uniground::geometry::boxes::Aabb;
-use uniground::geometry::statistics::quantile;
-use uniground::geometry::voxels::{VoxelGrid, typical_spacing_m};
-use uniground::geometry::{Point3, Vector3};
-use uniground::ingest::read_cloud;
-use uniground::models::neural::{Encoded, Prompt, Segmenter};
-use uniground::progress::Progress;
-use uniground::render::{ROOM_VIEW, Scenery, scene_picture};
-use uniground::scene::{PointCloud, write_cloud_ply};
-use uniground::scene_parsing::superpoints::{self, SuperpointSettings};
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::geometry::statistics::quantile;
+use uniground_core::geometry::voxels::{VoxelGrid, typical_spacing_m};
+use uniground_core::geometry::{Point3, Vector3};
+use uniground_core::ingest::read_cloud;
+use uniground_core::models::neural::{Encoded, Prompt, Segmenter};
+use uniground_core::progress::Progress;
+use uniground_core::render::{ROOM_VIEW, RenderScene, scene_picture};
+use uniground_core::scene::{PointCloud, write_cloud_ply};
+use uniground_core::scene_parsing::superpoints;
+use uniground_types::settings::SuperpointSettings;
 
 /// Edge of the voxels a cloud is thinned to, metres.
 const THINNED_M: f32 = 0.05;
@@ -173,7 +174,7 @@ pub fn drawing<'a>(input: &'a Input, open3d: &'a Peer) -> Vec<Comparison<'a>> {
         what: format!("picture of the room, {size}, Open3D {how}"),
         ours: Ours::Same(Box::new(|| {
             let drawn = |picture: &image::RgbImage| format!("{} pixels", picture.pixels().filter(|p| p.0 != BACKGROUND).count());
-            Ok(timed(|| scene_picture(&Scenery::of(input.cloud.clone()), &input.extent, &ROOM_VIEW, &[]), drawn))
+            Ok(timed(|| scene_picture(&RenderScene::of(input.cloud.clone()), &input.extent, &ROOM_VIEW, &[]), drawn))
         })),
         peer: asked(open3d, command.into()),
         differ,

@@ -1,19 +1,19 @@
 //! The table of all comparisons, for the terminal and for `benches/PEERS.md`.
 
-use crate::duel::{Outcome, ROUNDS, Run};
+use crate::duel::{DuelResult, ROUNDS, Run};
 use comfy_table::{Table, presets};
 use std::fmt::Write;
 use std::thread::available_parallelism;
 
 /// Everything the bench says: where it ran, against what, the figures, and how to read them.
-pub fn written(input: &str, load: &str, versions: &[Option<String>], outcomes: &[Outcome]) -> String {
+pub fn written(input: &str, load: &str, versions: &[Option<String>], outcomes: &[DuelResult]) -> String {
     let mut table = Table::new();
     table
         .load_preset(presets::ASCII_MARKDOWN)
         .set_header(["", "ours, ms", "peer, ms", "ours / peer", "ours gives", "the peer gives"]);
     table.add_rows(outcomes.iter().map(row));
     let mut notes = String::new();
-    for Outcome { what, differ, .. } in outcomes {
+    for DuelResult { what, differ, .. } in outcomes {
         let _ = writeln!(notes, "- {what}: {differ}");
     }
     let versions: String = versions.iter().flatten().map(|v| format!("- {v}\n")).collect();
@@ -30,8 +30,8 @@ pub fn written(input: &str, load: &str, versions: &[Option<String>], outcomes: &
     )
 }
 
-fn row(outcome: &Outcome) -> [String; 6] {
-    let Outcome { what, ours, peer, bound, .. } = outcome;
+fn row(outcome: &DuelResult) -> [String; 6] {
+    let DuelResult { what, ours, peer, bound, .. } = outcome;
     let sign = if *bound { "< " } else { "" };
     let left_out = |why: &str| ("-".to_owned(), format!("left out: {}", why.replace('|', "/")));
     let told = |side: &Result<Run, String>, sign: &str| match side {

@@ -3,7 +3,7 @@
 use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::process::Command;
-use uniground::scene::PointCloud;
+use uniground_core::scene::PointCloud;
 
 /// The built program and the files it shares with us.
 pub struct Vccs {

@@ -2,13 +2,7 @@
 
 use super::table;
 use crate::app;
-use crate::client::Client;
 use crate::config::{AccessConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig};
-use crate::grounding::Status;
-use crate::ingest::archive::ArchiveKind;
-use crate::jobs::Job;
-use crate::service::{Answer, GroundRequest, Scene};
-use crate::store::JobState;
 use crate::telemetry;
 use anyhow::{Context, bail};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -17,12 +11,19 @@ use std::fs;
 use std::io::IsTerminal;
 use std::net::{Ipv4Addr, SocketAddr};
 use std::time::{Duration, Instant};
+use uniground_client::Client;
+use uniground_core::grounding::Status;
+use uniground_core::ingest::archive::ArchiveKind;
+use uniground_types::answer::Answer;
+use uniground_types::job::{Job, JobState};
+use uniground_types::question::GroundRequest;
+use uniground_types::scenes::Scene;
 
 #[derive(Debug, clap::Args)]
 pub struct DemoArgs {
-    /// The scan to show
-    #[arg(long, default_value = "examples/living_room.zip")]
-    scene: Utf8PathBuf,
+    /// The scan to show [default: the sample scene, which is inside this program]
+    #[arg(long, value_name = "FILE")]
+    scene: Option<Utf8PathBuf>,
     /// Ask this instead of the four sample questions; may be given several times
     #[arg(long = "ask", value_name = "QUESTION")]
     questions: Vec<String>,
@@ -33,6 +34,8 @@ pub struct DemoArgs {
 
 /// One unique object, one attribute, one relation, and one that is not in the room.
 const QUESTIONS: [&str; 4] = ["find the coffee table", "the orange stool", "the mug on the coffee table", "the green fridge"];
+/// The sample scene: the demo runs from any folder.
+const SAMPLE: &[u8] = include_bytes!("../../examples/living_room.zip");
 /// How many of the found objects are listed.
 const LISTED: usize = 12;
 
@@ -58,7 +61,7 @@ pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
 }
 
 async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
-    let scene = upload(client, &args.scene).await?;
+    let scene = upload(client, args.scene.as_deref()).await?;
     print_found(client, &scene).await?;
     fs::create_dir_all(&args.out).with_context(|| args.out.to_string())?;
     let samples = QUESTIONS.map(str::to_owned).to_vec();
@@ -79,10 +82,15 @@ async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
     Ok(())
 }
 
-async fn upload(client: &Client, archive: &Utf8Path) -> anyhow::Result<Scene> {
-    let kind = ArchiveKind::of_file_name(archive.as_str()).with_context(|| format!("{archive}: expected .zip, .tar or .tar.zst"))?;
-    let bytes = fs::read(archive).with_context(|| archive.to_string())?;
-    println!("Uploading {archive} ({:.1} MB)", bytes.len() as f64 / 1e6);
+async fn upload(client: &Client, archive: Option<&Utf8Path>) -> anyhow::Result<Scene> {
+    let (name, kind, bytes) = match archive {
+        None => ("the sample scene", ArchiveKind::Zip, SAMPLE.to_vec()),
+        Some(file) => {
+            let kind = ArchiveKind::of_file_name(file.as_str()).with_context(|| format!("{file}: expected .zip, .tar or .tar.zst"))?;
+            (file.as_str(), kind, fs::read(file).with_context(|| file.to_string())?)
+        }
+    };
+    println!("Uploading {name} ({:.1} MB)", bytes.len() as f64 / 1e6);
     let start = Instant::now();
     let created = client.create_scene(None, kind.media_type(), bytes).await?;
     let job = created.job.context("the server did not start to parse")?;

@@ -1,6 +1,7 @@
 //! `uniground eval`: a suite through the system, and two reports side by side.
 
 use super::Cli;
+use crate::chat::{ChatClient, ReplayCache};
 use crate::config::{BundlesConfig, VlmConfig};
 use crate::evaluation::comparison::{Baseline, Change, describe, key as comparison_key};
 use crate::evaluation::configuration::{self, Configuration};
@@ -8,7 +9,6 @@ use crate::evaluation::report::{Report, RunFacts};
 use crate::evaluation::run::{RunOptions, Step, run as run_suite};
 use crate::evaluation::suite::{Suite, SuiteOptions};
 use crate::evaluation::systems::{InProcess, ModelUse, Server, System};
-use crate::models::chat::{ChatClient, Tape};
 use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use clap::error::ErrorKind;
@@ -65,10 +65,10 @@ struct RunArgs {
     models: BundlesConfig,
     #[command(flatten)]
     vlm: VlmConfig,
-    /// Keep every answer of the model on this tape; what is on it already is not asked again
+    /// Record every answer of the model here; what is recorded already is not asked again
     #[arg(long, value_name = "FILE", conflicts_with_all = ["replay", "server"])]
     record: Option<Utf8PathBuf>,
-    /// Take the model's answers from this tape: nothing is asked and nothing costs
+    /// Take the model's answers from this record: nothing is asked and nothing costs
     #[arg(long, value_name = "FILE", conflicts_with = "server")]
     replay: Option<Utf8PathBuf>,
     /// Most the model may cost in this run, US dollars: questions past that fail
@@ -177,17 +177,17 @@ fn tell_losses(report: &Report) {
     }
 }
 
-/// The model, live or from a tape; a tape knows its model.
+/// The model, live or from recorded answers; these know their model.
 fn vlm_client(args: &RunArgs) -> anyhow::Result<Option<ChatClient>> {
     if let Some(file) = &args.replay {
-        let (tape, model) = Tape::replay(file).context("--replay")?;
+        let (recorded, model) = ReplayCache::replay(file).context("--replay")?;
         let vlm_model = args.vlm.vlm_model.clone().or(Some(model));
         // Nobody is asked: any address will do.
         let vlm_url = args.vlm.vlm_url.clone().or_else(|| Some("http://localhost".into()));
-        return VlmConfig { vlm_url, vlm_model, ..args.vlm.clone() }.client(tape);
+        return VlmConfig { vlm_url, vlm_model, ..args.vlm.clone() }.client(recorded);
     }
-    let tape = args.record.as_deref().map_or(Ok(Tape::None), Tape::record).context("--record")?;
-    let client = args.vlm.client(tape)?;
+    let cache = args.record.as_deref().map_or(Ok(ReplayCache::Off), ReplayCache::record).context("--record")?;
+    let client = args.vlm.client(cache)?;
     ensure!(args.record.is_none() || client.is_some(), "--record: no model is configured (--vlm-url, --vlm-model)");
     Ok(client)
 }

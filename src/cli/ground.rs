@@ -1,10 +1,11 @@
 //! `uniground ground`: one question to a running server.
 
 use super::table;
-use crate::client::Client;
-use crate::grounding::Status;
-use crate::service::{EvidenceMode, GroundRequest, ReasonerChoice};
+use crate::words;
 use std::io::{self, Write};
+use uniground_client::Client;
+use uniground_core::grounding::Status;
+use uniground_types::question::{EvidenceMode, GroundRequest, ReasonerChoice};
 
 #[derive(Debug, clap::Args)]
 pub struct GroundArgs {
@@ -20,10 +21,10 @@ pub struct GroundArgs {
     #[arg(long, default_value_t = 5)]
     top_k: u32,
     /// Who decides: a vision-language model where the server has one, or always, or never
-    #[arg(long, value_enum, default_value = "auto")]
+    #[arg(long, default_value = "auto", value_parser = words::reasoner())]
     reasoner: ReasonerChoice,
     /// What a model is shown of the candidates
-    #[arg(long, value_enum, default_value = "full")]
+    #[arg(long, default_value = "full", value_parser = words::evidence())]
     evidence: EvidenceMode,
     /// Most the question may cost, US dollars
     #[arg(long, value_name = "USD")]

@@ -1,13 +1,13 @@
 //! `uniground models`: fetch what can be fetched, list what is there, verify that it works.
 
 use crate::config::BundlesConfig;
-use crate::models::neural::{BundleListing, LoadedModel, folder_of, list, verify};
 use anyhow::{Context, bail, ensure};
 use camino::Utf8PathBuf;
 use clap::{Args, Subcommand};
 use comfy_table::{Table, presets};
 use std::io::{self, Write};
 use std::process::{Command, Stdio};
+use uniground_core::models::neural::{BundleListing, LoadedModel, folder_of, list, verify};
 
 #[derive(Debug, Args)]
 pub struct ModelsArgs {
@@ -115,7 +115,7 @@ fn print_verified(args: &VerifyArgs) -> anyhow::Result<()> {
     let engine = config.engine()?;
     let (mut loaded, mut failed) = (Vec::new(), 0);
     for folder in folders {
-        match verify(&engine, &folder) {
+        match verify(engine.as_ref(), &folder) {
             Ok(models) => loaded.extend(models.loaded),
             Err(error) => {
                 eprintln!("{error}");

@@ -2,19 +2,20 @@
 
 use super::report_page;
 use crate::config::ModelsConfig;
-use crate::geometry::up_axis::UpAxis;
-use crate::ingest::Unpacked;
-use crate::progress::Progress;
-use crate::scene::{ImportReport, Instance, ParseReport, write_instances_ply};
-use crate::scene_parsing::checkpoints::Checkpoints;
-use crate::scene_parsing::report_pictures;
-use crate::service::{ParseModels, ParsePreset, ParseSettings, ParsedScan, parse_scan};
+use crate::words;
 use anyhow::{Context, ensure};
 use camino::Utf8PathBuf;
 use serde::Serialize;
 use std::fs::{self, File};
 use std::io::{self, IsTerminal, Write};
-use tokio_util::sync::CancellationToken;
+use uniground_core::geometry::up_axis::UpAxis;
+use uniground_core::ingest::Unpacked;
+use uniground_core::parse::{ParsedScan, parse_scan};
+use uniground_core::progress::Progress;
+use uniground_core::scene::{ImportReport, Instance, ParseReport, write_instances_ply};
+use uniground_core::scene_parsing::checkpoints::Checkpoints;
+use uniground_core::scene_parsing::report_pictures;
+use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
 #[derive(Debug, clap::Args)]
 pub struct ParseArgs {
@@ -24,7 +25,7 @@ pub struct ParseArgs {
     #[arg(long, value_name = "FOLDER")]
     report: Option<Utf8PathBuf>,
     /// Where settings start from
-    #[arg(long, value_enum, default_value_t)]
+    #[arg(long, default_value = "default", value_parser = words::preset())]
     preset: ParsePreset,
     /// Single values that replace those of the preset, as JSON: the `settings` of the HTTP parse request
     #[arg(long, value_name = "FILE")]
@@ -70,7 +71,7 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     let folder = Unpacked::of(&args.scan)?;
     let models = args.models.load()?;
 
-    let progress = Progress::new(show_progress, CancellationToken::new());
+    let progress = Progress::new(show_progress, || false);
     let scan = parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &progress);
     show_progress("", 1.0);
     let ParsedScan { import, frames, scene: parsed, models } = scan?;

@@ -1,9 +1,10 @@
 //! Answers as tables people can read.
 
-use crate::geometry::boxes::Aabb;
-use crate::grounding::{Alternative, Status};
-use crate::service::{Answer, InstanceView};
 use comfy_table::{ContentArrangement, Table, presets};
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::grounding::{Alternative, Status};
+use uniground_types::answer::Answer;
+use uniground_types::instances::InstanceView;
 
 const WIDTH: u16 = 110;
 

@@ -3,23 +3,24 @@
 
 use super::annotations::{Annotations, SceneObject};
 use super::segmentation::AnnotatedObject;
-use crate::geometry::boxes::Aabb;
-use crate::geometry::voxels::{VoxelKey, VoxelMap};
-use crate::geometry::{Point3, Vector3};
-use crate::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
-use crate::ingest::{self, ImportSettings};
-use crate::progress::Progress;
-use crate::scene::{Frame, PointCloud, SceneBundle};
-use crate::scene_parsing::ParseError;
-use crate::scene_parsing::masks::{IdImage, MaskSource};
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
 use nalgebra::UnitQuaternion;
 use std::sync::Arc;
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::geometry::voxels::{VoxelKey, VoxelMap};
+use uniground_core::geometry::{Point3, Vector3};
+use uniground_core::ingest;
+use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use uniground_core::progress::Progress;
+use uniground_core::scene::{Frame, PointCloud, SceneBundle};
+use uniground_core::scene_parsing::ParseError;
+use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
+use uniground_types::settings::ImportSettings;
 
 /// An annotated room, loaded.
 #[derive(Clone)]
-pub struct Room {
+pub struct AnnotatedRoom {
     pub bundle: SceneBundle,
     /// Annotated id of each point of the bundle's cloud; 0 = none.
     pub truth: Vec<u32>,
@@ -28,7 +29,7 @@ pub struct Room {
     turned_deg: f32,
 }
 
-impl Room {
+impl AnnotatedRoom {
     /// Loads `<name>.zip` and its annotations from `folder`; the archive is unpacked into `scratch`, which must outlive the room.
     ///
     /// # Errors

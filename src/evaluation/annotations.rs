@@ -5,17 +5,17 @@
 //! `EmbodiedScan` in radians). Metres, world frame of the scan as imported (Z up).
 
 use super::records::{Omission, Record};
-use crate::geometry::boxes::Aabb;
-use crate::geometry::colour::ColourName;
-use crate::geometry::rotated_box::RotatedBox;
-use crate::geometry::{MAX_COORDINATE_M, Point3, Vector3};
-use crate::scene::Structure;
 use camino::{Utf8Path, Utf8PathBuf};
 use nalgebra::UnitQuaternion;
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use std::collections::BTreeMap;
 use std::fs;
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::geometry::colour::ColourName;
+use uniground_core::geometry::rotated_box::RotatedBox;
+use uniground_core::geometry::{MAX_COORDINATE_M, Point3, Vector3};
+use uniground_core::scene::Structure;
 
 /// One annotated object.
 #[derive(Debug, Clone, PartialEq)]

@@ -3,7 +3,7 @@
 use super::digest;
 use super::measures::interval;
 use super::report::{CellReport, Report};
-use super::scoring::Outcome;
+use super::scoring::ScoredExpression;
 use super::segmentation::IOU_THRESHOLDS;
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
@@ -65,7 +65,7 @@ impl Change {
 
 /// An expression by id and words: where ids are places in a list, the words tell whether it is still the same one.
 #[must_use]
-pub fn key(outcome: &Outcome) -> String {
+pub fn key(outcome: &ScoredExpression) -> String {
     format!("{}~{:.6}", outcome.id, digest::of(outcome.query.as_bytes()))
 }
 
@@ -120,7 +120,7 @@ impl Baseline {
 
 impl BaselineCell {
     fn of(cell: &CellReport, seed: u64) -> Self {
-        let right = |o: &Outcome| IOU_THRESHOLDS.map(|at| o.right_at(at));
+        let right = |o: &ScoredExpression| IOU_THRESHOLDS.map(|at| o.right_at(at));
         let low = std::array::from_fn(|i| {
             let values: Vec<(&str, f32)> = cell.outcomes.iter().map(|o| (o.scene.as_str(), f32::from(u8::from(right(o)[i])))).collect();
             interval(&values, seed).0

@@ -1,11 +1,12 @@
 //! What is varied in a run: one [`Configuration`] per cell of the table, from `axis=value,value;axis=…`.
 
 use crate::config::{BUILTIN_ENCODER, BUILTIN_MASKS};
-use crate::grounding::direction::DirectionConvention;
-use crate::service::{Ablation, EvidenceMode, ParsePreset, ParserChoice, ReasonerChoice};
 use anyhow::{Context, bail, ensure};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use uniground_core::grounding::direction::DirectionConvention;
+use uniground_types::question::{Ablation, EvidenceMode, ParserChoice, ReasonerChoice};
+use uniground_types::settings::ParsePreset;
 
 /// Where instances come from: each bottleneck by itself.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]

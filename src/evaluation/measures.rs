@@ -1,11 +1,11 @@
 //! The paper's figures over a set of outcomes, with 95 % bootstrap intervals.
 
-use super::scoring::{Outcome, TargetOutcome};
+use super::scoring::{ScoredExpression, TargetOutcome};
 use super::segmentation::IOU_THRESHOLDS;
-use crate::geometry::statistics::quantile;
-use crate::grounding::Status;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use uniground_core::geometry::statistics::quantile;
+use uniground_core::grounding::Status;
 
 /// A share and its 95 % interval, all in `0..=1`.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -85,14 +85,14 @@ const CLUSTERED_FROM: usize = 10;
 
 impl Figures {
     #[must_use]
-    pub fn of(outcomes: &[&Outcome], seed: u64) -> Self {
-        let targets: Vec<(&Outcome, &TargetOutcome)> = outcomes.iter().filter_map(|o| Some((*o, o.target.as_ref()?))).collect();
-        let retained: Vec<&Outcome> = targets
+    pub fn of(outcomes: &[&ScoredExpression], seed: u64) -> Self {
+        let targets: Vec<(&ScoredExpression, &TargetOutcome)> = outcomes.iter().filter_map(|o| Some((*o, o.target.as_ref()?))).collect();
+        let retained: Vec<&ScoredExpression> = targets
             .iter()
             .filter(|(_, t)| best(&t.candidate_ious) >= IOU_THRESHOLDS[0])
             .map(|(o, _)| *o)
             .collect();
-        let with_target: Vec<&Outcome> = targets.iter().map(|(o, _)| *o).collect();
+        let with_target: Vec<&ScoredExpression> = targets.iter().map(|(o, _)| *o).collect();
         // An empty sum of floats is minus zero: folding from zero is not.
         let mean = |values: &mut dyn Iterator<Item = f32>| values.fold(0.0, |sum, v| sum + v) / targets.len().max(1) as f32;
         let recall = |of: &dyn Fn(&TargetOutcome) -> f32| {
@@ -129,7 +129,7 @@ impl Figures {
 }
 
 impl Share {
-    fn of_right(outcomes: &[&Outcome], at: f32, seed: u64) -> Self {
+    fn of_right(outcomes: &[&ScoredExpression], at: f32, seed: u64) -> Self {
         let values: Vec<(&str, f32)> = outcomes.iter().map(|o| (o.scene.as_str(), f32::from(u8::from(o.right_at(at))))).collect();
         let value = values.iter().fold(0.0, |sum, (_, v)| sum + v) / values.len().max(1) as f32;
         let (low, high) = interval(&values, seed);
@@ -144,9 +144,9 @@ impl Share {
 }
 
 impl Abstention {
-    fn of(outcomes: &[&Outcome]) -> Self {
+    fn of(outcomes: &[&ScoredExpression]) -> Self {
         let share = |n: usize, of: usize| (of > 0).then(|| n as f32 / of as f32);
-        let said = |o: &&&Outcome| o.status() == Some(Status::NoMatch);
+        let said = |o: &&&ScoredExpression| o.status() == Some(Status::NoMatch);
         let absent = outcomes.iter().filter(|o| o.target.is_none()).count();
         let all_said = outcomes.iter().filter(said).count();
         let right = outcomes.iter().filter(said).filter(|o| o.target.is_none()).count();
@@ -224,10 +224,10 @@ fn next(state: &mut u64) -> u64 {
 mod tests {
     use super::*;
     use crate::evaluation::reply::Reply;
-    use crate::geometry::boxes::Aabb;
-    use crate::geometry::{Point3, Vector3};
+    use uniground_core::geometry::boxes::Aabb;
+    use uniground_core::geometry::{Point3, Vector3};
 
-    fn outcome(id: u32, target: Option<(f32, &[f32])>, status: Status) -> Outcome {
+    fn outcome(id: u32, target: Option<(f32, &[f32])>, status: Status) -> ScoredExpression {
         let aabb = Aabb { center: Point3::origin(), size: Vector3::repeat(1.0) };
         let target = target.map(|(iou, candidates)| TargetOutcome {
             name: None,
@@ -240,7 +240,7 @@ mod tests {
         });
         let reply = Reply { status, latency_ms: f64::from(id), ..Reply::nothing() };
         let splits = Vec::new();
-        Outcome {
+        ScoredExpression {
             id: id.to_string(),
             scene: "room".into(),
             query: "q".into(),

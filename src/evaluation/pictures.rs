@@ -1,8 +1,8 @@
 //! Pictures of wrong answers: the room with the truth in green, the answer in red, the other candidates in blue.
 
-use super::scoring::Outcome;
-use crate::geometry::boxes::Aabb;
-use crate::render::{BoxStyle, LabelledBox, Orbit, ROOM_VIEW, Scenery, jpeg, scene_picture};
+use super::scoring::ScoredExpression;
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::render::{BoxStyle, LabelledBox, Orbit, ROOM_VIEW, RenderScene, jpeg, scene_picture};
 
 /// Where pictures lie below the output folder.
 pub const FOLDER: &str = "pictures";
@@ -14,7 +14,7 @@ const MAX_CANDIDATES: usize = 5;
 
 /// What to draw; later boxes lie on top.
 #[must_use]
-pub fn boxes(outcome: &Outcome) -> Vec<LabelledBox> {
+pub fn boxes(outcome: &ScoredExpression) -> Vec<LabelledBox> {
     let mut boxes = Vec::new();
     if let Some(reply) = &outcome.reply {
         let name = |id: u32| reply.answer.candidate_names.get(&id).map_or(String::new(), |name| format!(" {name}"));
@@ -35,8 +35,8 @@ pub fn boxes(outcome: &Outcome) -> Vec<LabelledBox> {
 
 /// Draws a room; `None` for one without points and boxes.
 #[must_use]
-pub fn draw(scenery: &Scenery, boxes: &[LabelledBox]) -> Option<Vec<u8>> {
+pub fn draw(render_scene: &RenderScene, boxes: &[LabelledBox]) -> Option<Vec<u8>> {
     let corners: Vec<_> = boxes.iter().flat_map(|b| b.aabb.corners()).collect();
-    let extent = Aabb::around(if scenery.cloud.is_empty() { &corners } else { &scenery.cloud.positions })?;
-    Some(jpeg(&scene_picture(scenery, &extent, &VIEW, boxes)))
+    let extent = Aabb::around(if render_scene.cloud.is_empty() { &corners } else { &render_scene.cloud.positions })?;
+    Some(jpeg(&scene_picture(render_scene, &extent, &VIEW, boxes)))
 }

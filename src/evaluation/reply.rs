@@ -1,9 +1,9 @@
 //! What a system says to one expression.
 
-use crate::geometry::boxes::{Aabb, OrientedBox};
-use crate::grounding::{Candidate, SixFields, Status};
-use crate::service::{Models, Usage};
 use serde::{Deserialize, Serialize};
+use uniground_core::geometry::boxes::{Aabb, OrientedBox};
+use uniground_core::grounding::{Candidate, SixFields, Status};
+use uniground_types::answer::{Models, Usage};
 
 /// A finished answer, as far as measures need it. Boxes in metres, world frame (Z up).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

@@ -8,11 +8,10 @@ use super::configuration::{Configuration, Source};
 use super::digest;
 use super::pictures;
 use super::reply::Reply;
-use super::scoring::Outcome;
+use super::scoring::ScoredExpression;
 use super::sealed::{PaperCompatibleRun, Ranked, Sealed};
 use super::suite::{Suite, SuiteScene, Task};
 use super::systems::{OpenScene, System};
-use crate::geometry::boxes::Aabb;
 use anyhow::Context;
 use camino::Utf8Path;
 use rayon::prelude::*;
@@ -22,6 +21,7 @@ use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
 use std::io::Write;
 use std::sync::Mutex;
+use uniground_core::geometry::boxes::Aabb;
 
 /// What is run, and how.
 pub struct RunOptions<'a> {
@@ -49,7 +49,7 @@ pub struct CellResult {
     pub name: String,
     pub configuration: Configuration,
     /// In the order of the suite.
-    pub outcomes: Vec<Outcome>,
+    pub outcomes: Vec<ScoredExpression>,
     /// Expressions that could not even be asked, and why.
     pub left_out: Vec<(String, String)>,
 }
@@ -183,7 +183,7 @@ impl CellOfScene<'_> {
         for task in self.tasks {
             let ranked = log.reply(task).cloned().map(Ranked::of);
             let failure = || failures.get(&task.id).cloned().unwrap_or_default();
-            let mut outcome = Outcome::of(task, &self.scene.id, ranked.as_ref().ok_or_else(failure), &log.boxes);
+            let mut outcome = ScoredExpression::of(task, &self.scene.id, ranked.as_ref().ok_or_else(failure), &log.boxes);
             if !outcome.is_right() {
                 outcome.picture = self.picture(&key, cell, open, &outcome)?;
             }
@@ -202,7 +202,13 @@ impl CellOfScene<'_> {
     }
 
     /// Draws a wrong answer, unless it was drawn before. The name covers what is drawn.
-    fn picture(&self, key: &str, cell: &CellResult, open: &mut Option<Entered>, outcome: &Outcome) -> anyhow::Result<Option<String>> {
+    fn picture(
+        &self,
+        key: &str,
+        cell: &CellResult,
+        open: &mut Option<Entered>,
+        outcome: &ScoredExpression,
+    ) -> anyhow::Result<Option<String>> {
         let drawn = pictures::boxes(outcome);
         let name = format!(
             "{}.jpg",
@@ -211,7 +217,7 @@ impl CellOfScene<'_> {
         let file = self.out.join(pictures::FOLDER).join(&name);
         if file.metadata().map_or(0, |m| m.len()) == 0 {
             let Ok(scene) = self.enter(cell, open) else { return Ok(None) };
-            let Some(jpeg) = pictures::draw(scene.scenery(), &drawn) else { return Ok(None) };
+            let Some(jpeg) = pictures::draw(scene.render_scene(), &drawn) else { return Ok(None) };
             fs::write(&file, jpeg).with_context(|| file.to_string())?;
         }
         Ok(Some(name))

@@ -4,13 +4,13 @@ use super::reply::Reply;
 use super::sealed::Ranked;
 use super::segmentation::IOU_THRESHOLDS;
 use super::suite::{Target, Task};
-use crate::geometry::boxes::Aabb;
-use crate::grounding::Status;
 use serde::{Deserialize, Serialize};
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::grounding::Status;
 
 /// What became of one expression. Boxes in metres, world frame (Z up).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct Outcome {
+pub struct ScoredExpression {
     pub id: String,
     pub scene: String,
     pub query: String,
@@ -43,7 +43,7 @@ pub struct TargetOutcome {
     pub best_instance_iou: f32,
 }
 
-impl Outcome {
+impl ScoredExpression {
     /// Judges a finished reply. `instances` are the boxes of all instances.
     #[must_use]
     pub fn of(task: &Task, scene: &str, asked: Result<&Ranked, String>, instances: &[Aabb]) -> Self {

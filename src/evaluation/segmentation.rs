@@ -1,8 +1,8 @@
 //! Measures of a segmented cloud: superpoints against annotated points, instances against annotated objects.
 
-use crate::geometry::boxes::Aabb;
-use crate::scene::{Instance, InstanceId, ParsedScene};
 use std::collections::BTreeMap;
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::scene::{Instance, InstanceId, ParsedScene};
 
 /// The two IoU thresholds the field quotes.
 pub const IOU_THRESHOLDS: [f32; 2] = [0.25, 0.5];

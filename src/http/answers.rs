@@ -3,12 +3,14 @@
 use super::App;
 use super::Binary;
 use super::extract::Path;
-use super::problem::Problem;
-use crate::service::{Answer, AnswerPrompt, AnswerReply};
+use super::problem::Refused;
 use axum::Json;
 use axum::extract::State;
 use axum::http::header;
 use axum::response::IntoResponse;
+use uniground_types::answer::Answer;
+use uniground_types::problem::Problem;
+use uniground_types::transcript::{AnswerPrompt, AnswerReply};
 
 /// An answer as it was given, whole.
 #[utoipa::path(
@@ -20,8 +22,8 @@ use axum::response::IntoResponse;
     ),
     security(("key" = []), ())
 )]
-pub async fn get(State(app): State<App>, Path(answer_id): Path<String>) -> Result<Json<Answer>, Problem> {
-    Ok(Json(app.service.answer(&answer_id).await?))
+pub async fn get(State(app): State<App>, Path(answer_id): Path<String>) -> Result<impl IntoResponse, Refused> {
+    Ok(([(header::CONTENT_TYPE, "application/json")], app.service.answer(&answer_id).await?))
 }
 
 /// A picture that goes with an answer: `global.jpg`, and for answers of a model `candidate-7.jpg` or `names-1.jpg`, exactly as it was shown.
@@ -38,7 +40,7 @@ pub async fn get(State(app): State<App>, Path(answer_id): Path<String>) -> Resul
     ),
     security(("key" = []), ())
 )]
-pub async fn picture(State(app): State<App>, Path((answer_id, picture)): Path<(String, String)>) -> Result<impl IntoResponse, Problem> {
+pub async fn picture(State(app): State<App>, Path((answer_id, picture)): Path<(String, String)>) -> Result<impl IntoResponse, Refused> {
     Ok(([(header::CONTENT_TYPE, "image/jpeg")], app.service.answer_picture(&answer_id, &picture).await?))
 }
 
@@ -52,7 +54,7 @@ pub async fn picture(State(app): State<App>, Path((answer_id, picture)): Path<(S
     ),
     security(("key" = []), ())
 )]
-pub async fn prompt(State(app): State<App>, Path(answer_id): Path<String>) -> Result<Json<AnswerPrompt>, Problem> {
+pub async fn prompt(State(app): State<App>, Path(answer_id): Path<String>) -> Result<Json<AnswerPrompt>, Refused> {
     Ok(Json(app.service.answer_prompt(&answer_id).await?))
 }
 
@@ -66,6 +68,6 @@ pub async fn prompt(State(app): State<App>, Path(answer_id): Path<String>) -> Re
     ),
     security(("key" = []), ())
 )]
-pub async fn reply(State(app): State<App>, Path(answer_id): Path<String>) -> Result<Json<AnswerReply>, Problem> {
+pub async fn reply(State(app): State<App>, Path(answer_id): Path<String>) -> Result<Json<AnswerReply>, Refused> {
     Ok(Json(app.service.answer_reply(&answer_id).await?))
 }

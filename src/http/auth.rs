@@ -1,7 +1,7 @@
 //! One key for the whole service, as a bearer token. Off on a loopback bind unless a key is set.
 
 use super::App;
-use super::problem::Problem;
+use super::problem::Refused;
 use axum::extract::{Request, State};
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::middleware::Next;
@@ -41,7 +41,7 @@ pub async fn require_key(State(app): State<App>, request: Request, next: Next) -
         return next.run(request).await;
     }
     let mut refused =
-        Problem::new(StatusCode::UNAUTHORIZED, "unauthorized", "this server wants a key: Authorization: Bearer <key>").into_response();
+        Refused::new(StatusCode::UNAUTHORIZED, "unauthorized", "this server wants a key: Authorization: Bearer <key>").into_response();
     refused.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
     refused
 }

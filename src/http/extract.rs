@@ -1,6 +1,6 @@
 //! Extractors that fail with a [`Problem`] naming the field.
 
-use super::problem::Problem;
+use super::problem::Refused;
 use axum::body::to_bytes;
 use axum::extract::{FromRequest, FromRequestParts, Request};
 use axum::http::request::Parts;
@@ -14,29 +14,29 @@ const MAX_JSON_BYTES: usize = 1 << 20;
 pub struct Json<T>(pub T);
 
 impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
-    type Rejection = Problem;
+    type Rejection = Refused;
 
-    async fn from_request(request: Request, _state: &S) -> Result<Self, Problem> {
+    async fn from_request(request: Request, _state: &S) -> Result<Self, Refused> {
         let media_type = request.headers().get(header::CONTENT_TYPE).and_then(|v| v.to_str().ok()).unwrap_or_default();
         let essence = media_type.split(';').next().unwrap_or_default().trim().to_ascii_lowercase();
         if essence != "application/json" {
             let detail = format!("the body must be application/json, not {essence:?}");
-            return Err(Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail));
+            return Err(Refused::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail));
         }
         let bytes = to_bytes(request.into_body(), MAX_JSON_BYTES).await.map_err(|_| {
-            Problem::new(StatusCode::PAYLOAD_TOO_LARGE, "body_too_large", format!("a JSON body has at most {MAX_JSON_BYTES} bytes"))
+            Refused::new(StatusCode::PAYLOAD_TOO_LARGE, "body_too_large", format!("a JSON body has at most {MAX_JSON_BYTES} bytes"))
         })?;
         let mut reader = serde_json::Deserializer::from_slice(&bytes);
         let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
             let pointer: String = error.path().iter().map(|segment| format!("/{segment}")).filter(|s| s != "/?").collect();
             match error.inner().classify() {
-                serde_json::error::Category::Data => Problem::invalid(pointer, error.inner().to_string()),
-                _ => Problem::new(StatusCode::BAD_REQUEST, "malformed_json", error.inner().to_string()),
+                serde_json::error::Category::Data => Refused::invalid(pointer, error.inner().to_string()),
+                _ => Refused::new(StatusCode::BAD_REQUEST, "malformed_json", error.inner().to_string()),
             }
         })?;
         reader
             .end()
-            .map_err(|error| Problem::new(StatusCode::BAD_REQUEST, "malformed_json", error.to_string()))?;
+            .map_err(|error| Refused::new(StatusCode::BAD_REQUEST, "malformed_json", error.to_string()))?;
         Ok(Self(value))
     }
 }
@@ -45,15 +45,15 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
 pub struct Query<T>(pub T);
 
 impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
-    type Rejection = Problem;
+    type Rejection = Refused;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Refused> {
         match axum::extract::Query::<T>::from_request_parts(parts, state).await {
             Ok(axum::extract::Query(value)) => Ok(Self(value)),
             Err(rejection) => {
                 let reason = std::error::Error::source(&rejection).map_or_else(|| rejection.body_text(), ToString::to_string);
                 let (parameter, detail) = reason.split_once(": ").unwrap_or(("query", &reason));
-                Err(Problem::invalid(parameter, detail))
+                Err(Refused::invalid(parameter, detail))
             }
         }
     }
@@ -63,12 +63,12 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
 pub struct Path<T>(pub T);
 
 impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T> {
-    type Rejection = Problem;
+    type Rejection = Refused;
 
-    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Problem> {
+    async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Refused> {
         match axum::extract::Path::<T>::from_request_parts(parts, state).await {
             Ok(axum::extract::Path(value)) => Ok(Self(value)),
-            Err(rejection) => Err(Problem::new(StatusCode::NOT_FOUND, "not_found", rejection.body_text())),
+            Err(rejection) => Err(Refused::new(StatusCode::NOT_FOUND, "not_found", rejection.body_text())),
         }
     }
 }

@@ -2,9 +2,11 @@
 
 use super::App;
 use super::extract::{Json, Path};
-use super::problem::Problem;
-use crate::service::{Answer, GroundRequest, ShortlistRequest, Shortlisted};
+use super::problem::Refused;
 use axum::extract::State;
+use uniground_types::answer::{Answer, Shortlisted};
+use uniground_types::problem::Problem;
+use uniground_types::question::{GroundRequest, ShortlistRequest};
 
 /// Grounds one expression in a parsed scene.
 ///
@@ -31,11 +33,13 @@ pub async fn ground(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Json(request): Json<GroundRequest>,
-) -> Result<axum::Json<Answer>, Problem> {
+) -> Result<axum::Json<Answer>, Refused> {
     Ok(axum::Json(app.service.ground(&scene_id, request).await?))
 }
 
-/// The candidates for a query by names and attributes alone, without reasoning over relations.
+/// The candidates for a query, without reasoning over relations.
+///
+/// By appearance where an encoder has seen the scene, by names and attributes otherwise.
 #[utoipa::path(
     post, path = "/v1/scenes/{scene_id}/shortlist", tag = "grounding", params(("scene_id" = String, Path)), request_body = ShortlistRequest,
     responses(
@@ -55,6 +59,6 @@ pub async fn shortlist(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Json(request): Json<ShortlistRequest>,
-) -> Result<axum::Json<Shortlisted>, Problem> {
+) -> Result<axum::Json<Shortlisted>, Refused> {
     Ok(axum::Json(app.service.shortlist(&scene_id, request).await?))
 }

@@ -1,42 +1,11 @@
 //! `/healthz`, `/readyz` and `/v1/models`
 
 use super::App;
-use super::problem::Problem;
-use crate::service::LoadedModel;
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
-use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
-
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct Health {
-    /// Always `ok`: a process that answers is alive.
-    pub status: String,
-    pub version: String,
-}
-
-/// What the service needs to do its work, each `ok` or what is wrong.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct Readiness {
-    pub ready: bool,
-    pub database: String,
-    pub blob_folder: String,
-    pub worker: String,
-    /// Where masks come from.
-    pub masks: String,
-    /// How instances and words are compared.
-    pub encoder: String,
-    /// The neural models among these, loaded and run once at the start.
-    pub models: Vec<LoadedModel>,
-}
-
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct ModelList {
-    pub models: Vec<LoadedModel>,
-    /// The vision-language model that reasons, by the name its endpoint knows it by; `null` when none is configured.
-    pub vlm: Option<String>,
-}
+use uniground_types::problem::Problem;
+use uniground_types::service::{Health, ModelList, Readiness};
 
 /// The models this server was started with; none when all parts are built in.
 #[utoipa::path(
@@ -61,7 +30,7 @@ pub async fn readyz(State(app): State<App>) -> (StatusCode, Json<Readiness>) {
     let database = store.ping().await.map_err(|error| error.to_string());
     let blobs = tokio::task::spawn_blocking(move || store.blobs.probe()).await;
     let blob_folder = blobs.map_err(std::io::Error::other).flatten().map_err(|error| error.to_string());
-    let worker = if app.worker.is_cancelled() { Err("stopped".to_owned()) } else { Ok(()) };
+    let worker = if app.lane_ended.is_cancelled() { Err("stopped".to_owned()) } else { Ok(()) };
     let ready = database.is_ok() && blob_folder.is_ok() && worker.is_ok();
     let word = |check: Result<(), String>| check.err().unwrap_or_else(|| "ok".into());
     let models = app.service.parse_models();

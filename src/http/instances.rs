@@ -3,15 +3,16 @@
 use super::App;
 use super::Binary;
 use super::extract::{Path, Query};
-use super::problem::Problem;
+use super::problem::Refused;
 use super::scenes::send_file;
-use crate::scene::InstanceId;
-use crate::service::{InstanceList, InstanceView, ViewPicture};
 use axum::Json;
 use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
 use serde::Deserialize;
+use uniground_types::instances::{InstanceList, InstanceView, ViewPicture};
+use uniground_types::problem::Problem;
+use uniground_types::scene::InstanceId;
 use utoipa::IntoParams;
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -47,9 +48,9 @@ pub async fn list(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Query(ListParameters { limit, cursor }): Query<ListParameters>,
-) -> Result<Json<InstanceList>, Problem> {
+) -> Result<Json<InstanceList>, Refused> {
     if !(1..=1000).contains(&limit) {
-        return Err(Problem::invalid("limit", "must be 1 to 1000"));
+        return Err(Refused::invalid("limit", "must be 1 to 1000"));
     }
     Ok(Json(app.service.instances(&scene_id, limit, cursor).await?))
 }
@@ -66,7 +67,7 @@ pub async fn list(
     ),
     security(("key" = []), ())
 )]
-pub async fn get(State(app): State<App>, Path((scene_id, instance_id)): Path<(String, u32)>) -> Result<Json<InstanceView>, Problem> {
+pub async fn get(State(app): State<App>, Path((scene_id, instance_id)): Path<(String, u32)>) -> Result<Json<InstanceView>, Refused> {
     Ok(Json(app.service.instance(&scene_id, InstanceId(instance_id)).await?))
 }
 
@@ -97,10 +98,10 @@ pub async fn view(
     State(app): State<App>,
     Path((scene_id, instance_id, view)): Path<(String, u32, String)>,
     Query(ViewParameters { picture }): Query<ViewParameters>,
-) -> Result<Response, Problem> {
+) -> Result<Response, Refused> {
     let number = view.strip_suffix(".jpg").and_then(|k| k.parse().ok());
     let number = number
-        .ok_or_else(|| Problem::new(StatusCode::NOT_FOUND, "view_not_found", format!("views are 0.jpg, 1.jpg, ...; not {view:?}")))?;
+        .ok_or_else(|| Refused::new(StatusCode::NOT_FOUND, "view_not_found", format!("views are 0.jpg, 1.jpg, ...; not {view:?}")))?;
     let file = app.service.view_picture(&scene_id, InstanceId(instance_id), number, picture).await?;
     send_file(&file, "image/jpeg").await
 }

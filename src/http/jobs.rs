@@ -2,7 +2,7 @@
 
 use super::App;
 use super::extract::Path;
-use super::problem::Problem;
+use super::problem::Refused;
 use crate::error::Error;
 use crate::jobs::Job;
 use axum::Json;
@@ -12,6 +12,7 @@ use axum::response::sse::{Event, KeepAlive, Sse};
 use futures::{Stream, stream};
 use std::convert::Infallible;
 use std::time::Duration;
+use uniground_types::problem::Problem;
 
 /// One event of a job's stream.
 #[derive(utoipa::ToSchema)]
@@ -38,7 +39,7 @@ const LOOK_EVERY: Duration = Duration::from_millis(150);
     ),
     security(("key" = []), ())
 )]
-pub async fn get(State(app): State<App>, Path(job_id): Path<String>) -> Result<Json<Job>, Problem> {
+pub async fn get(State(app): State<App>, Path(job_id): Path<String>) -> Result<Json<Job>, Refused> {
     Ok(Json(app.service.jobs.get(&job_id).await.map_err(Error::from)?))
 }
 
@@ -52,7 +53,7 @@ pub async fn get(State(app): State<App>, Path(job_id): Path<String>) -> Result<J
     ),
     security(("key" = []), ())
 )]
-pub async fn cancel(State(app): State<App>, Path(job_id): Path<String>) -> Result<(StatusCode, Json<Job>), Problem> {
+pub async fn cancel(State(app): State<App>, Path(job_id): Path<String>) -> Result<(StatusCode, Json<Job>), Refused> {
     Ok((StatusCode::ACCEPTED, Json(app.service.jobs.cancel(&job_id).await.map_err(Error::from)?)))
 }
 
@@ -73,7 +74,7 @@ pub async fn events(
     State(app): State<App>,
     Path(job_id): Path<String>,
     headers: HeaderMap,
-) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Problem> {
+) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Refused> {
     app.service.jobs.get(&job_id).await.map_err(Error::from)?;
     let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()).map(str::to_owned);
     let stream = stream::unfold(Some(seen), move |state| {

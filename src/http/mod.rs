@@ -13,18 +13,19 @@ mod scenes;
 
 pub use auth::ApiKey;
 use auth::BearerAuth;
-pub use health::{ModelList, Readiness};
-pub use problem::{FieldError, Problem};
-pub use scenes::Created;
+use problem::Refused;
 
 use crate::service::Service;
+use axum::extract::{MatchedPath, Request};
 use axum::http::HeaderName;
+use axum::response::{IntoResponse, Response};
 use axum::{Router, middleware};
 use std::sync::Arc;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
-use tower_http::trace::TraceLayer;
+use tower_http::trace::{DefaultOnResponse, TraceLayer};
+use tracing::{Level, Span};
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -38,8 +39,8 @@ pub struct App {
     pub api_key: Option<Arc<ApiKey>>,
     /// Cancelled when the server stops: open event streams end.
     pub shutdown: CancellationToken,
-    /// Cancelled when the job worker has ended.
-    pub worker: CancellationToken,
+    /// Cancelled when a lane of jobs has ended.
+    pub lane_ended: CancellationToken,
 }
 
 #[derive(OpenApi)]
@@ -112,12 +113,29 @@ pub fn router(app: App) -> Router {
         .merge(SwaggerUi::new("/docs").url("/openapi.json", openapi))
         .fallback(problem::no_such_route)
         .method_not_allowed_fallback(problem::method_not_allowed)
-        .layer(CatchPanicLayer::custom(|_: Box<dyn std::any::Any + Send>| {
-            use axum::response::IntoResponse;
-            Problem::internal().into_response()
-        }))
+        .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(problem::name_request))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
-        .layer(TraceLayer::new_for_http())
+        .layer(
+            TraceLayer::new_for_http()
+                .make_span_with(span_of)
+                .on_request(())
+                .on_response(DefaultOnResponse::new().level(Level::DEBUG))
+                // Who answers with an error has logged why.
+                .on_failure(()),
+        )
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
+}
+
+/// Every line that is logged for a request carries its id, method and route.
+fn span_of(request: &Request) -> Span {
+    let id = request.headers().get(REQUEST_ID).and_then(|id| id.to_str().ok()).unwrap_or_default();
+    let route = request.extensions().get::<MatchedPath>().map_or_else(|| request.uri().path(), MatchedPath::as_str);
+    tracing::info_span!("request", id, method = %request.method(), route, path = request.uri().path())
+}
+
+/// The panic itself is on stderr, with its place; here it gets the request's ids.
+fn panicked(_: Box<dyn std::any::Any + Send>) -> Response {
+    tracing::error!(code = "internal", "a handler panicked");
+    Refused::internal().into_response()
 }

@@ -2,52 +2,23 @@
 
 use super::REQUEST_ID;
 use crate::error::Error;
-use crate::ingest::IngestError;
 use crate::jobs::JobsError;
 use axum::Json;
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+use uniground_core::ingest::IngestError;
+use uniground_core::models::with_causes;
+use uniground_types::problem::{FieldError, Problem};
 
-/// An error. `code` is stable; `detail` is for people and names the file, frame or field.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct Problem {
-    /// Always `about:blank`: the code says which problem it is.
-    #[serde(rename = "type")]
-    pub kind: String,
-    /// The status in words.
-    pub title: String,
-    pub status: u16,
-    pub detail: String,
-    #[schema(example = "scene_not_found")]
-    pub code: String,
-    /// The same as the header `x-request-id`.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub request_id: Option<String>,
-    /// Fields of the request that are wrong.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub errors: Vec<FieldError>,
-    /// The job to wait for, where there is one.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub job_id: Option<String>,
-    #[serde(skip)]
-    retry_after_s: Option<u32>,
-}
+/// A request that was refused: the problem as a response.
+#[derive(Debug, Clone)]
+pub struct Refused(Problem);
 
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct FieldError {
-    /// JSON pointer into the request body, or the name of a query parameter.
-    #[schema(example = "/query")]
-    pub pointer: String,
-    pub detail: String,
-}
-
-impl Problem {
+impl Refused {
     pub fn new(status: StatusCode, code: &str, detail: impl Into<String>) -> Self {
-        Self {
+        Self(Problem {
             kind: "about:blank".into(),
             title: status.canonical_reason().unwrap_or("Error").into(),
             status: status.as_u16(),
@@ -57,7 +28,7 @@ impl Problem {
             errors: Vec::new(),
             job_id: None,
             retry_after_s: None,
-        }
+        })
     }
 
     #[must_use]
@@ -67,24 +38,27 @@ impl Problem {
 
     pub fn invalid(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
         let (pointer, detail) = (pointer.into(), detail.into());
-        let mut problem = Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid_request", format!("{pointer}: {detail}"));
-        problem.errors.push(FieldError { pointer, detail });
-        problem
+        let mut refused = Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid_request", format!("{pointer}: {detail}"));
+        refused.0.errors.push(FieldError { pointer, detail });
+        refused
     }
 }
 
-impl From<Error> for Problem {
+impl From<Error> for Refused {
     fn from(error: Error) -> Self {
         let (code, status) = (error.code(), status_of(&error));
-        if status.is_server_error() && status != StatusCode::BAD_GATEWAY {
-            tracing::error!(error = &error as &dyn std::error::Error, code, "request failed");
+        // The only line about it: route and request id are those of the request's span.
+        match status {
+            StatusCode::BAD_GATEWAY | StatusCode::GATEWAY_TIMEOUT => tracing::warn!(code, cause = with_causes(&error), "request failed"),
+            _ if status.is_server_error() => tracing::error!(code, cause = with_causes(&error), "request failed"),
+            _ => tracing::debug!(code, cause = with_causes(&error), "request refused"),
         }
         let detail = match status {
             // What broke inside is for the log, not for the caller.
-            StatusCode::INTERNAL_SERVER_ERROR => Self::internal().detail,
+            StatusCode::INTERNAL_SERVER_ERROR => Self::internal().0.detail,
             _ => error.to_string(),
         };
-        let mut problem = Self::new(status, code, detail);
+        let Self(mut problem) = Self::new(status, code, detail);
         match error {
             Error::Invalid { pointer, detail } => problem.errors.push(FieldError { pointer, detail }),
             Error::SceneNotReady { job_id, .. } => problem.job_id = job_id,
@@ -92,7 +66,7 @@ impl From<Error> for Problem {
             Error::Jobs(JobsError::QueueFull { .. }) => problem.retry_after_s = Some(10),
             _ => {}
         }
-        problem
+        Self(problem)
     }
 }
 
@@ -143,17 +117,18 @@ fn status_of(error: &Error) -> StatusCode {
     }
 }
 
-impl IntoResponse for Problem {
+impl IntoResponse for Refused {
     fn into_response(self) -> Response {
-        let status = StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
-        let mut response = (status, Json(&self)).into_response();
+        let Self(problem) = self;
+        let status = StatusCode::from_u16(problem.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
+        let mut response = (status, Json(&problem)).into_response();
         response
             .headers_mut()
             .insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
-        if let Some(seconds) = self.retry_after_s {
+        if let Some(seconds) = problem.retry_after_s {
             response.headers_mut().insert(header::RETRY_AFTER, seconds.into());
         }
-        response.extensions_mut().insert(self);
+        response.extensions_mut().insert(problem);
         response
     }
 }
@@ -165,7 +140,7 @@ pub async fn name_request(request: Request, next: Next) -> Response {
     match response.extensions_mut().remove::<Problem>() {
         Some(problem) => {
             let headers = response.headers().clone();
-            let mut named = Problem { request_id: id, ..problem }.into_response();
+            let mut named = Refused(Problem { request_id: id, ..problem }).into_response();
             // Keep what handlers and layers said beside the body ("Allow" and the like).
             headers.into_iter().filter_map(|(name, value)| Some((name?, value))).for_each(|(name, value)| {
                 if name != header::CONTENT_LENGTH {
@@ -182,10 +157,10 @@ fn request_id(headers: &HeaderMap) -> Option<String> {
     headers.get(REQUEST_ID).and_then(|id| id.to_str().ok()).map(str::to_owned)
 }
 
-pub async fn no_such_route(uri: Uri) -> Problem {
-    Problem::new(StatusCode::NOT_FOUND, "no_such_route", format!("there is nothing at {}", uri.path()))
+pub async fn no_such_route(uri: Uri) -> Refused {
+    Refused::new(StatusCode::NOT_FOUND, "no_such_route", format!("there is nothing at {}", uri.path()))
 }
 
-pub async fn method_not_allowed(method: Method, uri: Uri) -> Problem {
-    Problem::new(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", format!("{method} is not possible at {}", uri.path()))
+pub async fn method_not_allowed(method: Method, uri: Uri) -> Refused {
+    Refused::new(StatusCode::METHOD_NOT_ALLOWED, "method_not_allowed", format!("{method} is not possible at {}", uri.path()))
 }

@@ -3,13 +3,14 @@
 use super::App;
 use super::Binary;
 use super::extract::Path;
-use super::problem::Problem;
+use super::problem::Refused;
 use super::scenes::send_file;
 use crate::error::Error;
-use crate::service::SceneReport;
 use axum::Json;
 use axum::extract::State;
 use axum::response::Response;
+use uniground_types::problem::Problem;
+use uniground_types::scenes::SceneReport;
 
 /// What the current parse did: counts, seconds and memory per stage, warnings, settings, and pictures of every step.
 #[utoipa::path(
@@ -22,7 +23,7 @@ use axum::response::Response;
     ),
     security(("key" = []), ())
 )]
-pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Json<SceneReport>, Problem> {
+pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Json<SceneReport>, Refused> {
     Ok(Json(app.service.scene_report(&scene_id).await?))
 }
 
@@ -38,7 +39,7 @@ pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result
     ),
     security(("key" = []), ())
 )]
-pub async fn picture(State(app): State<App>, Path((scene_id, picture)): Path<(String, String)>) -> Result<Response, Problem> {
+pub async fn picture(State(app): State<App>, Path((scene_id, picture)): Path<(String, String)>) -> Result<Response, Refused> {
     let name = picture.strip_suffix(".jpg").ok_or_else(|| Error::ReportPictureNotFound { name: picture.clone() })?;
     let file = app.service.report_picture(&scene_id, name).await?;
     send_file(&file, "image/jpeg").await

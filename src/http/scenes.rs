@@ -3,20 +3,23 @@
 use super::App;
 use super::Binary;
 use super::extract::{Json, Path, Query};
-use super::problem::Problem;
-use crate::geometry::up_axis::UpAxis;
-use crate::ingest::archive::ArchiveKind;
+use super::problem::Refused;
 use crate::jobs::Job;
-use crate::service::{NewScene, ParsePreset, ParseSettings, Scene, SceneList};
+use crate::service::{NewScene, ParseFile};
 use axum::body::Body;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use camino::Utf8Path;
-use serde::{Deserialize, Serialize};
+use serde::Deserialize;
 use tokio::fs::File;
 use tokio_util::io::ReaderStream;
-use utoipa::{IntoParams, ToSchema};
+use uniground_core::ingest::archive::ArchiveKind;
+use uniground_types::geometry::up_axis::UpAxis;
+use uniground_types::problem::Problem;
+use uniground_types::scenes::{Created, ParseRequest, Rename, Scene, SceneList};
+use uniground_types::settings::{ParsePreset, ParseSettings};
+use utoipa::IntoParams;
 
 #[derive(Debug, Deserialize, IntoParams)]
 #[serde(deny_unknown_fields)]
@@ -40,14 +43,6 @@ pub struct CreateParameters {
 
 fn yes() -> bool {
     true
-}
-
-/// A new scene and the job that parses it.
-#[derive(Debug, Serialize, Deserialize, ToSchema)]
-pub struct Created {
-    pub scene: Scene,
-    /// `null` when the scan was only stored.
-    pub job: Option<Job>,
 }
 
 /// Uploads a scan.
@@ -77,15 +72,15 @@ pub async fn create(
     Query(CreateParameters { name, parse, up, preset }): Query<CreateParameters>,
     headers: HeaderMap,
     request: Request,
-) -> Result<(StatusCode, axum::Json<Created>), Problem> {
+) -> Result<(StatusCode, axum::Json<Created>), Refused> {
     let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
     let media_type = header("content-type").unwrap_or_default();
     let kind = ArchiveKind::of_media_type(media_type).ok_or_else(|| {
         let known = [ArchiveKind::Zip, ArchiveKind::Tar, ArchiveKind::TarZst].map(ArchiveKind::media_type).join(", ");
         let detail = format!("the content type of an upload must be one of {known}, not {media_type:?}");
-        Problem::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail)
+        Refused::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail)
     })?;
-    let mut settings = ParseSettings::from_request(preset, None)?;
+    let mut settings = ParseSettings::from_request(preset, None).map_err(crate::error::Error::from)?;
     settings.import.up = up;
     let new = NewScene { name, kind, parse: parse.then_some(settings), idempotency_key: header("idempotency-key").map(str::to_owned) };
     let (scene, job) = app.service.create_scene(new, request.into_body().into_data_stream()).await?;
@@ -121,12 +116,12 @@ fn default_limit() -> u32 {
 pub async fn list(
     State(app): State<App>,
     Query(ListParameters { limit, cursor }): Query<ListParameters>,
-) -> Result<axum::Json<SceneList>, Problem> {
+) -> Result<axum::Json<SceneList>, Refused> {
     if !(1..=100).contains(&limit) {
-        return Err(Problem::invalid("limit", "must be 1 to 100"));
+        return Err(Refused::invalid("limit", "must be 1 to 100"));
     }
     if cursor.as_ref().is_some_and(|cursor| cursor.parse::<uuid::Uuid>().is_err()) {
-        return Err(Problem::invalid("cursor", "must be the next_cursor of the page before"));
+        return Err(Refused::invalid("cursor", "must be the next_cursor of the page before"));
     }
     Ok(axum::Json(app.service.scenes(limit, cursor.as_deref()).await?))
 }
@@ -141,15 +136,8 @@ pub async fn list(
     ),
     security(("key" = []), ())
 )]
-pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result<axum::Json<Scene>, Problem> {
+pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result<axum::Json<Scene>, Refused> {
     Ok(axum::Json(app.service.scene(&scene_id).await?))
-}
-
-#[derive(Debug, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-pub struct Rename {
-    #[schema(min_length = 1, max_length = 200)]
-    name: String,
 }
 
 /// Renames a scene.
@@ -170,7 +158,7 @@ pub async fn rename(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Json(Rename { name }): Json<Rename>,
-) -> Result<axum::Json<Scene>, Problem> {
+) -> Result<axum::Json<Scene>, Refused> {
     Ok(axum::Json(app.service.rename_scene(&scene_id, &name).await?))
 }
 
@@ -184,19 +172,9 @@ pub async fn rename(
     ),
     security(("key" = []), ())
 )]
-pub async fn delete(State(app): State<App>, Path(scene_id): Path<String>) -> Result<StatusCode, Problem> {
+pub async fn delete(State(app): State<App>, Path(scene_id): Path<String>) -> Result<StatusCode, Refused> {
     app.service.delete_scene(&scene_id).await?;
     Ok(StatusCode::NO_CONTENT)
-}
-
-/// How to parse. An empty object parses with the default settings.
-#[derive(Debug, Default, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct ParseRequest {
-    preset: ParsePreset,
-    /// Single values that replace those of the preset, e.g. `{"parsing": {"superpoints": {"voxel_m": 0.02}}}`.
-    #[schema(value_type = Option<ParseSettings>)]
-    settings: Option<serde_json::Value>,
 }
 
 /// Parses a scene again, into a new version. Questions use the old one until the new one is ready.
@@ -218,7 +196,7 @@ pub async fn parse(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Json(ParseRequest { preset, settings }): Json<ParseRequest>,
-) -> Result<(StatusCode, axum::Json<Job>), Problem> {
+) -> Result<(StatusCode, axum::Json<Job>), Refused> {
     Ok((StatusCode::ACCEPTED, axum::Json(app.service.reparse(&scene_id, preset, settings).await?)))
 }
 
@@ -237,7 +215,7 @@ pub async fn parse(
     ),
     security(("key" = []), ())
 )]
-pub async fn name(State(app): State<App>, Path(scene_id): Path<String>) -> Result<(StatusCode, axum::Json<Job>), Problem> {
+pub async fn name(State(app): State<App>, Path(scene_id): Path<String>) -> Result<(StatusCode, axum::Json<Job>), Refused> {
     Ok((StatusCode::ACCEPTED, axum::Json(app.service.start_naming(&scene_id).await?)))
 }
 
@@ -252,8 +230,8 @@ pub async fn name(State(app): State<App>, Path(scene_id): Path<String>) -> Resul
     ),
     security(("key" = []), ())
 )]
-pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Problem> {
-    let file = app.service.parse_file(&scene_id, "cloud.ply").await?;
+pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Refused> {
+    let file = app.service.parse_file(&scene_id, ParseFile::Cloud).await?;
     send_file(&file, "application/octet-stream").await
 }
 
@@ -268,8 +246,8 @@ pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Resu
     ),
     security(("key" = []), ())
 )]
-pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Problem> {
-    let file = app.service.parse_file(&scene_id, "instances.ply").await?;
+pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Refused> {
+    let file = app.service.parse_file(&scene_id, ParseFile::Instances).await?;
     send_file(&file, "application/octet-stream").await
 }
 
@@ -285,13 +263,13 @@ pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String
     ),
     security(("key" = []), ())
 )]
-pub async fn embeddings(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Problem> {
-    let file = app.service.embeddings_file(&scene_id).await?;
+pub async fn embeddings(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Refused> {
+    let file = app.service.parse_file(&scene_id, ParseFile::Embeddings).await?;
     send_file(&file, "application/octet-stream").await
 }
 
 /// Streams a stored file.
-pub(super) async fn send_file(path: &Utf8Path, media_type: &'static str) -> Result<Response, Problem> {
+pub(super) async fn send_file(path: &Utf8Path, media_type: &'static str) -> Result<Response, Refused> {
     let file = File::open(path).await.map_err(crate::error::Error::Io)?;
     let length = file.metadata().await.map_err(crate::error::Error::Io)?.len();
     let headers = [(header::CONTENT_TYPE, media_type.to_owned()), (header::CONTENT_LENGTH, length.to_string())];

@@ -1,6 +1,6 @@
 //! Submitting, watching and cancelling jobs.
 
-use super::Job;
+use super::{Job, JobKind, job_of};
 use crate::store::{JobState, Store, StoreError};
 use jiff::Timestamp;
 use std::collections::HashMap;
@@ -42,38 +42,41 @@ impl Running {
     }
 }
 
-/// The queue. Cheap to clone.
+/// The queues of all kinds. Cheap to clone.
 #[derive(Clone)]
 pub struct Jobs {
     pub(super) store: Store,
-    pub(super) wake: Arc<Notify>,
+    /// By kind: told when a job was queued.
+    bells: Arc<Mutex<HashMap<&'static str, Arc<Notify>>>>,
     running: Arc<Mutex<HashMap<String, Running>>>,
     max_queued: u32,
 }
 
 impl Jobs {
+    /// At most `max_queued` jobs of a kind wait.
     #[must_use]
     pub fn new(store: Store, max_queued: u32) -> Self {
-        Self { store, wake: Arc::default(), running: Arc::default(), max_queued }
+        Self { store, bells: Arc::default(), running: Arc::default(), max_queued }
     }
 
-    /// Queues a job.
+    /// Queues a job on a subject: the id of what it works on.
     ///
     /// # Errors
-    /// [`JobsError::QueueFull`] when too many wait already.
-    pub async fn submit(&self, kind: &str, subject: &str, payload: &str) -> Result<Job, JobsError> {
-        self.check_room().await?;
-        let row = self.store.insert_job(kind, subject, payload).await?;
-        self.wake.notify_one();
-        Ok(Job::from_row(row, Timestamp::now()))
+    /// [`JobsError::QueueFull`] when too many of its kind wait already.
+    pub async fn submit<K: JobKind>(&self, subject: &str, payload: &K::Payload) -> Result<Job, JobsError> {
+        self.check_room::<K>().await?;
+        let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
+        let row = self.store.insert_job(K::NAME, subject, &payload).await?;
+        self.bell(K::NAME).notify_one();
+        Ok(job_of(row, Timestamp::now()))
     }
 
-    /// Whether another job may be queued.
+    /// Whether another job of this kind may be queued.
     ///
     /// # Errors
     /// [`JobsError::QueueFull`].
-    pub async fn check_room(&self) -> Result<(), JobsError> {
-        let queued = self.store.queued_jobs().await?;
+    pub async fn check_room<K: JobKind>(&self) -> Result<(), JobsError> {
+        let queued = self.store.queued_jobs(K::NAME).await?;
         if queued >= self.max_queued { Err(JobsError::QueueFull { queued }) } else { Ok(()) }
     }
 
@@ -92,9 +95,10 @@ impl Jobs {
     ///
     /// # Errors
     /// [`JobsError::Store`].
-    pub async fn submit_done(&self, kind: &str, subject: &str, payload: &str, message: &str) -> Result<Job, JobsError> {
-        let row = self.store.insert_done_job(kind, subject, payload, message).await?;
-        Ok(Job::from_row(row, Timestamp::now()))
+    pub async fn submit_done<K: JobKind>(&self, subject: &str, payload: &K::Payload, message: &str) -> Result<Job, JobsError> {
+        let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
+        let row = self.store.insert_done_job(K::NAME, subject, &payload, message).await?;
+        Ok(job_of(row, Timestamp::now()))
     }
 
     /// A job as it stands now.
@@ -105,29 +109,36 @@ impl Jobs {
         let mut row = self.store.job(id).await?.ok_or_else(|| JobsError::NotFound { id: id.into() })?;
         // The row lags behind: a running job's own word is newer.
         if row.state == JobState::Running
-            && let Some(running) = self.lock().get(id)
+            && let Some(running) = self.running().get(id)
         {
             let Pulse { stage, progress } = running.pulse();
             row.progress = f64::from(progress);
             row.stage = (!stage.is_empty()).then(|| stage.to_owned());
         }
-        Ok(Job::from_row(row, Timestamp::now()))
+        Ok(job_of(row, Timestamp::now()))
     }
 
-    /// Asks a job to stop. Queued jobs stop at once, running ones at their next check; finished ones stay as they are.
+    /// Asks a job to stop. Queued jobs stop at once, running ones at their next check; finished ones stay as they are. A wish is written
+    /// down first: a worker that has claimed the job but not begun finds it there, and so does the next server.
     ///
     /// # Errors
     /// [`JobsError::NotFound`].
     pub async fn cancel(&self, id: &str) -> Result<Job, JobsError> {
-        if !self.store.cancel_queued_job(id).await?
-            && let Some(running) = self.lock().get(id)
-        {
-            running.cancel.cancel();
+        if !self.store.cancel_queued_job(id).await? {
+            self.store.request_cancel(id).await?;
+            if let Some(running) = self.running().get(id) {
+                running.cancel.cancel();
+            }
         }
         self.get(id).await
     }
 
-    pub(super) fn lock(&self) -> MutexGuard<'_, HashMap<String, Running>> {
+    /// Rings when a job of this kind was queued.
+    pub(super) fn bell(&self, kind: &'static str) -> Arc<Notify> {
+        self.bells.lock().unwrap_or_else(PoisonError::into_inner).entry(kind).or_default().clone()
+    }
+
+    pub(super) fn running(&self) -> MutexGuard<'_, HashMap<String, Running>> {
         // The map is whole between any two statements: a panic elsewhere does not spoil it.
         self.running.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -1,44 +1,35 @@
-//! Use cases: the only place where pipelines meet storage and jobs. No HTTP here.
+//! Use cases: the only place where pipelines meet storage and jobs. No HTTP here. One folder for every noun of the API.
+//!
+//! What happens to a question or a scan is the pipelines' business ([`uniground_core`]); here stands who may ask, where things are kept,
+//! what it costs and what is remembered.
 
-mod answering;
-mod cache;
-mod evidence;
+mod answers;
 mod instances;
-mod looking;
-mod naming;
-mod parse_settings;
-mod parsing;
-mod pictures;
-mod questions;
-mod report_files;
-mod reports;
-mod reviewing;
+mod names;
+mod parses;
 mod scenes;
-mod transcripts;
-mod uploads;
 mod vlm;
 
-pub use answering::{Answer, BUILTIN_REASONER, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
-pub use instances::{InstanceList, InstanceView, ViewPicture};
-pub use naming::NAMING_JOB;
-pub use parse_settings::{ModelChoice, ParseModels, ParsePreset, ParseSettings, PartChoice};
-pub use parsing::{PARSE_JOB, ParsedScan, parse_scan};
-pub use questions::{GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
-pub use reports::{ReportPictureLink, SceneReport};
-pub use scenes::{Scene, SceneCounts, SceneList, SceneStatus};
-pub use transcripts::{AnswerPrompt, AnswerReply, PromptCall, PromptPart, ReplyCall};
-pub use uploads::NewScene;
+pub use answers::usage;
+pub use names::NamingJob;
+pub use parses::{ParseFile, ParseJob};
+pub use scenes::NewScene;
 pub use vlm::{Vlm, VlmSettings};
 
-pub use crate::grounding::vlm::{Ablation, EvidenceMode};
-use crate::ingest::archive::UnpackLimits;
-use crate::jobs::Jobs;
-pub use crate::models::neural::LoadedModel;
-use crate::models::neural::Models as NeuralModels;
+use crate::error::Error;
+use crate::jobs::{JobFailure, Jobs};
 use crate::store::Store;
-use cache::Caches;
+use parses::ParseCache;
+use rayon::ThreadPool;
 use std::sync::Arc;
-use tokio::sync::{Mutex, Semaphore};
+use std::time::Duration;
+use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore};
+use tokio::task::spawn_blocking;
+use tokio::time::timeout;
+use uniground_core::grounding::PictureCache;
+use uniground_core::ingest::archive::UnpackLimits;
+use uniground_core::models::neural::{LoadedModel, Models};
+use uniground_core::models::with_causes;
 
 /// What uploads and questions may take.
 #[derive(Debug, Clone, Copy)]
@@ -57,20 +48,37 @@ pub struct Service {
     store: Store,
     pub jobs: Jobs,
     limits: Limits,
-    caches: Arc<Caches>,
+    parses: Arc<ParseCache>,
+    pictures: Arc<PictureCache>,
     questions: Arc<Semaphore>,
+    /// Where parses compute: a pool of its own whose threads give way. Questions keep rayon's global pool.
+    parsing: Arc<ThreadPool>,
     /// A vision-language model, where one is configured.
     vlm: Option<Arc<Vlm>>,
-    models: NeuralModels,
+    models: Models,
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
     content_references: Arc<Mutex<()>>,
 }
 
+/// How long a question waits for its turn before the server calls itself overloaded.
+const PATIENCE: Duration = Duration::from_secs(2);
+
 impl Service {
+    /// `parsing` is the pool parses compute in.
     #[must_use]
-    pub fn new(store: Store, jobs: Jobs, limits: Limits, vlm: Option<Vlm>, models: NeuralModels) -> Self {
-        let questions = Arc::new(Semaphore::new(limits.max_concurrent_questions));
-        Self { store, jobs, limits, caches: Arc::default(), questions, vlm: vlm.map(Arc::new), models, content_references: Arc::default() }
+    pub fn new(store: Store, jobs: Jobs, limits: Limits, vlm: Option<Vlm>, models: Models, parsing: ThreadPool) -> Self {
+        Self {
+            store,
+            jobs,
+            limits,
+            parses: Arc::default(),
+            pictures: Arc::default(),
+            questions: Arc::new(Semaphore::new(limits.max_concurrent_questions)),
+            parsing: Arc::new(parsing),
+            vlm: vlm.map(Arc::new),
+            models,
+            content_references: Arc::default(),
+        }
     }
 
     /// The neural models this server was started with.
@@ -83,7 +91,7 @@ impl Service {
     ///
     /// # Errors
     /// When the store fails.
-    pub async fn settle(&self) -> Result<(), crate::error::Error> {
+    pub async fn settle(&self) -> Result<(), Error> {
         match &self.vlm {
             Some(vlm) => vlm.note_spending(&self.store).await,
             None => Ok(()),
@@ -93,11 +101,38 @@ impl Service {
     /// The vision-language model's name.
     #[must_use]
     pub fn vlm_model(&self) -> Option<&str> {
-        self.vlm.as_ref().map(|vlm| vlm.client.model())
+        self.vlm.as_ref().map(|vlm| vlm.name())
     }
 
     #[must_use]
     pub fn store(&self) -> &Store {
         &self.store
+    }
+
+    /// Waits for one of the bounded places at work on questions; not for long.
+    async fn turn(&self) -> Result<OwnedSemaphorePermit, Error> {
+        let turn = timeout(PATIENCE, self.questions.clone().acquire_owned()).await;
+        turn.ok().and_then(Result::ok).ok_or(Error::Overloaded)
+    }
+
+    /// Computes for a question, off the async threads, when its turn has come.
+    async fn compute<T: Send + 'static>(&self, work: impl FnOnce() -> Result<T, Error> + Send + 'static) -> Result<T, Error> {
+        let permit = self.turn().await?;
+        let span = tracing::Span::current();
+        spawn_blocking(move || {
+            let _permit = permit;
+            span.in_scope(work)
+        })
+        .await?
+    }
+}
+
+/// How a job ends that stumbled over an error of ours.
+fn job_failure(error: Error) -> JobFailure {
+    match error.code() {
+        "cancelled" => JobFailure::Cancelled,
+        code => {
+            JobFailure::Failed { code: code.to_owned(), detail: error.to_string(), cause: with_causes(&error), transient: error.may_pass() }
+        }
     }
 }

@@ -1,19 +1,29 @@
 //! The configured vision-language model, and what may be spent on it.
 
 use crate::error::Error;
-use crate::models::chat::{ChatClient, Purse};
 use crate::store::{Store, now};
+use std::sync::Arc;
 use std::sync::{Mutex, PoisonError};
-use tokio::sync::{Semaphore, SemaphorePermit};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use uniground_core::models::chat::{Budget, ChatModel};
 
 /// A model and how it is used here.
 pub struct Vlm {
-    pub client: std::sync::Arc<ChatClient>,
+    pub model: Arc<dyn ChatModel>,
     settings: VlmSettings,
     /// Questions that wait for the model; more are told to come back.
-    places: Semaphore,
-    /// The day's purse, by its date.
-    today: Mutex<Option<(String, Purse)>>,
+    places: Arc<Semaphore>,
+    today: Mutex<Option<Today>>,
+}
+
+/// What may be spent on one day.
+#[derive(Clone)]
+struct Today {
+    /// Its date, UTC.
+    day: String,
+    budget: Budget,
+    /// What is written down already.
+    noted_usd: f64,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -29,8 +39,12 @@ const MAX_WAITING: usize = 256;
 
 impl Vlm {
     #[must_use]
-    pub fn new(client: ChatClient, settings: VlmSettings) -> Self {
-        Self { client: client.into(), settings, places: Semaphore::new(MAX_WAITING), today: Mutex::default() }
+    pub fn new(model: Arc<dyn ChatModel>, settings: VlmSettings) -> Self {
+        Self { model, settings, places: Arc::new(Semaphore::new(MAX_WAITING)), today: Mutex::default() }
+    }
+
+    pub(super) fn name(&self) -> &str {
+        self.model.name()
     }
 
     pub(super) fn json(&self) -> bool {
@@ -38,40 +52,46 @@ impl Vlm {
     }
 
     /// A place among those who wait.
-    pub(super) fn place(&self) -> Result<SemaphorePermit<'_>, Error> {
-        self.places.try_acquire().map_err(|_| Error::Overloaded)
+    pub(super) fn place(&self) -> Result<OwnedSemaphorePermit, Error> {
+        self.places.clone().try_acquire_owned().map_err(|_| Error::Overloaded)
     }
 
-    /// What pays for a question: its own purse, where it has one, and the day's.
-    pub(super) async fn purses(&self, store: &Store, of_question: Option<f64>) -> Result<Vec<Purse>, Error> {
-        let today = self.purse_of_today(store).await?;
-        Ok(of_question.map(|usd| Purse::new("this question", usd)).into_iter().chain([today]).collect())
+    /// What pays for a question: its own budget, where it has one, and the day's.
+    pub(super) async fn budgets(&self, store: &Store, of_question: Option<f64>) -> Result<Vec<Budget>, Error> {
+        let today = self.budget_of_today(store).await?;
+        Ok(of_question.map(|usd| Budget::new("this question", usd)).into_iter().chain([today]).collect())
     }
 
     /// Writes down what was spent today.
     pub(super) async fn note_spending(&self, store: &Store) -> Result<(), Error> {
         let known = self.today.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        match known {
-            Some((day, purse)) if purse.spent_usd() > 0.0 => Ok(store.set_spent_on(&day, purse.spent_usd()).await?),
-            _ => Ok(()),
+        let Some(Today { day, budget, noted_usd }) = known else { return Ok(()) };
+        let spent = budget.spent_usd();
+        if spent > noted_usd {
+            store.set_spent_on(&day, spent).await?;
+            let mut today = self.today.lock().unwrap_or_else(PoisonError::into_inner);
+            if let Some(today) = today.as_mut().filter(|today| today.day == day) {
+                today.noted_usd = today.noted_usd.max(spent);
+            }
         }
+        Ok(())
     }
 
-    async fn purse_of_today(&self, store: &Store) -> Result<Purse, Error> {
+    async fn budget_of_today(&self, store: &Store) -> Result<Budget, Error> {
         let day = now()[..10].to_owned();
-        let of_day = |known: &Option<(String, Purse)>| known.as_ref().filter(|(date, _)| *date == day).map(|(_, purse)| purse.clone());
+        let of_day = |known: &Option<Today>| known.as_ref().filter(|today| today.day == day).map(|today| today.budget.clone());
         let known = of_day(&self.today.lock().unwrap_or_else(PoisonError::into_inner));
-        if let Some(purse) = known {
-            return Ok(purse);
+        if let Some(budget) = known {
+            return Ok(budget);
         }
         let spent = store.spent_on(&day).await?;
         let mut today = self.today.lock().unwrap_or_else(PoisonError::into_inner);
         // Somebody may have been faster.
-        if let Some(purse) = of_day(&today) {
-            return Ok(purse);
+        if let Some(budget) = of_day(&today) {
+            return Ok(budget);
         }
-        let purse = Purse::new("today", self.settings.daily_usd.unwrap_or(f64::INFINITY)).with_spent(spent);
-        *today = Some((day.clone(), purse.clone()));
-        Ok(purse)
+        let budget = Budget::new("today", self.settings.daily_usd.unwrap_or(f64::INFINITY)).with_spent(spent);
+        *today = Some(Today { day: day.clone(), budget: budget.clone(), noted_usd: spent });
+        Ok(budget)
     }
 }

@@ -2,10 +2,10 @@
 //!
 //! ```text
 //! blobs/contents/<sha256>/...     an unpacked archive
-//! blobs/parses/<id>/cloud.ply  instances.ply  views/<instance>-<view>-{crop,frame}.jpg
+//! blobs/parses/<id>/cloud.ply  instances.ply  embeddings.npy  embedding_norms.npy  report/  views/<instance>-<view>-{crop,frame}.jpg
 //! blobs/checkpoints/<sha256>/...  finished stages of parses of that content
-//! blobs/answers/<id>/calls.json  *.jpg   what a model was shown and said for an answer
-//! tmp/                            uploads and folders being written; emptied at start
+//! blobs/answers/<id>/prompt.json  reply.json  *.jpg   what a model was shown and said for an answer
+//! tmp/                            uploads and folders being written, folders being removed; emptied at start
 //! ```
 //! A folder is written under `tmp/` and moved into place as a whole, so a blob that can be seen is complete.
 
@@ -14,6 +14,7 @@ use std::collections::HashSet;
 use std::fs;
 use std::io;
 use std::time::{Duration, SystemTime};
+use tokio::task::spawn_blocking;
 use uuid::Uuid;
 
 #[derive(Debug, Clone)]
@@ -139,6 +140,44 @@ impl Blobs {
             Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
             _ => Ok(()),
         }
+    }
+
+    /// Takes folders out of the way, under `tmp/`: they are gone for everybody at once, whatever they hold. Off the async threads.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub async fn set_aside(&self, folders: Vec<Utf8PathBuf>) -> io::Result<Vec<Scratch>> {
+        let blobs = self.clone();
+        let renamed = spawn_blocking(move || {
+            let mut aside = Vec::new();
+            for folder in folders {
+                let path = blobs.tmp.join(Uuid::now_v7().to_string());
+                match fs::rename(&folder, &path) {
+                    Ok(()) => aside.push(Scratch { path }),
+                    Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                    Err(error) => return Err(error),
+                }
+            }
+            Ok(aside)
+        });
+        renamed.await?
+    }
+
+    /// Removes what was set aside, in the background. What a server that stops leaves under `tmp/` goes when the next one starts.
+    pub fn remove_later(&self, aside: Vec<Scratch>) {
+        if !aside.is_empty() {
+            spawn_blocking(move || drop(aside));
+        }
+    }
+
+    /// Takes a folder out of the way and removes it in the background; nothing there is fine.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub async fn discard(&self, folder: Utf8PathBuf) -> io::Result<()> {
+        let aside = self.set_aside(vec![folder]).await?;
+        self.remove_later(aside);
+        Ok(())
     }
 
     /// Whether files can be written.

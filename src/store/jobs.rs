@@ -1,30 +1,15 @@
 //! The durable side of the job queue.
 
 use super::{Store, StoreError, now};
-use serde::{Deserialize, Serialize};
-use utoipa::ToSchema;
+use jiff::Timestamp;
+use sqlx::sqlite::SqliteRow;
+use sqlx::{FromRow, Row};
+use std::time::Duration;
+pub use uniground_types::job::JobState;
 use uuid::Uuid;
 
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, sqlx::Type)]
-#[serde(rename_all = "snake_case")]
-#[sqlx(rename_all = "snake_case")]
-pub enum JobState {
-    Queued,
-    Running,
-    Succeeded,
-    Failed,
-    Cancelled,
-}
-
-impl JobState {
-    #[must_use]
-    pub fn is_final(self) -> bool {
-        matches!(self, Self::Succeeded | Self::Failed | Self::Cancelled)
-    }
-}
-
 /// A job as stored.
-#[derive(Debug, Clone, PartialEq, sqlx::FromRow)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct JobRow {
     pub id: String,
     pub kind: String,
@@ -40,6 +25,31 @@ pub struct JobRow {
     pub created_at: String,
     pub started_at: Option<String>,
     pub finished_at: Option<String>,
+}
+
+impl FromRow<'_, SqliteRow> for JobRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            id: row.try_get("id")?,
+            kind: row.try_get("kind")?,
+            subject: row.try_get("subject")?,
+            payload: row.try_get("payload")?,
+            state: state(row.try_get("state")?)?,
+            stage: row.try_get("stage")?,
+            progress: row.try_get("progress")?,
+            attempts: row.try_get("attempts")?,
+            message: row.try_get("message")?,
+            error_code: row.try_get("error_code")?,
+            error: row.try_get("error")?,
+            created_at: row.try_get("created_at")?,
+            started_at: row.try_get("started_at")?,
+            finished_at: row.try_get("finished_at")?,
+        })
+    }
+}
+
+fn state(word: String) -> sqlx::Result<JobState> {
+    JobState::try_from(word).map_err(|error| sqlx::Error::Decode(error.into()))
 }
 
 impl Store {
@@ -84,20 +94,22 @@ impl Store {
 
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn queued_jobs(&self) -> Result<u32, StoreError> {
-        Ok(sqlx::query_scalar("SELECT count(*) FROM jobs WHERE state = 'queued'")
+    pub async fn queued_jobs(&self, kind: &str) -> Result<u32, StoreError> {
+        Ok(sqlx::query_scalar("SELECT count(*) FROM jobs WHERE kind = ? AND state = 'queued'")
+            .bind(kind)
             .fetch_one(&self.reader)
             .await?)
     }
 
-    /// Takes the oldest queued job; one UPDATE, so no two workers get the same.
+    /// Takes the oldest queued job of a kind that is due; one UPDATE, so no two workers get the same.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn claim_job(&self) -> Result<Option<JobRow>, StoreError> {
-        let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = ?, stage = NULL, progress = 0
-                   WHERE id = (SELECT id FROM jobs WHERE state = 'queued' ORDER BY id LIMIT 1) RETURNING *";
-        Ok(sqlx::query_as(sql).bind(now()).fetch_optional(&self.writer).await?)
+    pub async fn claim_job(&self, kind: &str) -> Result<Option<JobRow>, StoreError> {
+        let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = ?1, stage = NULL, progress = 0
+                   WHERE id = (SELECT id FROM jobs WHERE kind = ?2 AND state = 'queued' AND (not_before IS NULL OR not_before <= ?1)
+                               ORDER BY id LIMIT 1) RETURNING *";
+        Ok(sqlx::query_as(sql).bind(now()).bind(kind).fetch_optional(&self.writer).await?)
     }
 
     /// # Errors
@@ -125,7 +137,7 @@ impl Store {
                    WHERE id = ?6 AND state IN ('queued', 'running')";
         let (code, detail) = error.unzip();
         sqlx::query(sql)
-            .bind(state)
+            .bind(state.word())
             .bind(message)
             .bind(code)
             .bind(detail)
@@ -159,20 +171,71 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn requeue_job(&self, id: &str) -> Result<(), StoreError> {
-        let sql = "UPDATE jobs SET state = 'queued', attempts = attempts - 1, started_at = NULL WHERE id = ? AND state = 'running'";
+        let sql = "UPDATE jobs SET state = 'queued', attempts = attempts - 1, started_at = NULL, stage = NULL, progress = 0
+                   WHERE id = ? AND state = 'running'";
         sqlx::query(sql).bind(id).execute(&self.writer).await?;
         Ok(())
     }
 
-    /// At start: jobs a crashed server left running go back to the queue, or fail once they have brought it down too often.
+    /// Puts a running job back, to be tried again after a wait.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn recover_jobs(&self, max_attempts: u32) -> Result<(), StoreError> {
+    pub async fn requeue_job_after(&self, id: &str, wait: Duration) -> Result<(), StoreError> {
+        let due = Timestamp::now()
+            .checked_add(jiff::SignedDuration::try_from(wait).unwrap_or_default())
+            .unwrap_or(Timestamp::MAX);
+        let sql = "UPDATE jobs SET state = 'queued', not_before = ?, started_at = NULL, stage = NULL, progress = 0
+                   WHERE id = ? AND state = 'running'";
+        sqlx::query(sql).bind(due.to_string()).bind(id).execute(&self.writer).await?;
+        Ok(())
+    }
+
+    /// Notes that a running job should stop.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn request_cancel(&self, id: &str) -> Result<(), StoreError> {
+        let sql = "UPDATE jobs SET cancel_requested = 1 WHERE id = ? AND state = 'running'";
+        sqlx::query(sql).bind(id).execute(&self.writer).await?;
+        Ok(())
+    }
+
+    /// Whether somebody wants a job to stop.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn is_cancel_requested(&self, id: &str) -> Result<bool, StoreError> {
+        let wished: Option<bool> = sqlx::query_scalar("SELECT cancel_requested FROM jobs WHERE id = ?")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?;
+        Ok(wished.unwrap_or(false))
+    }
+
+    /// Jobs that are not over: id and kind.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn open_jobs(&self) -> Result<Vec<(String, String)>, StoreError> {
+        let sql = "SELECT id, kind FROM jobs WHERE state IN ('queued', 'running')";
+        Ok(sqlx::query_as(sql).fetch_all(&self.reader).await?)
+    }
+
+    /// At start: jobs of a kind that a crashed server left running end as they were asked to, fail once they have brought it down too
+    /// often, or go back to their queue.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn recover_jobs(&self, kind: &str, max_attempts: u32) -> Result<(), StoreError> {
+        let stop = "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE kind = ? AND state = 'running' AND cancel_requested";
+        sqlx::query(stop).bind(now()).bind(kind).execute(&self.writer).await?;
         let give_up = "UPDATE jobs SET state = 'failed', error_code = 'interrupted', finished_at = ?,
-                       error = 'the server stopped ' || attempts || ' times while this job ran' WHERE state = 'running' AND attempts >= ?";
-        sqlx::query(give_up).bind(now()).bind(max_attempts).execute(&self.writer).await?;
-        sqlx::query("UPDATE jobs SET state = 'queued' WHERE state = 'running'")
+                       error = 'the server stopped ' || attempts || ' times while this job ran'
+                       WHERE kind = ? AND state = 'running' AND attempts >= ?";
+        sqlx::query(give_up).bind(now()).bind(kind).bind(max_attempts).execute(&self.writer).await?;
+        sqlx::query("UPDATE jobs SET state = 'queued', started_at = NULL, stage = NULL, progress = 0 WHERE kind = ? AND state = 'running'")
+            .bind(kind)
             .execute(&self.writer)
             .await?;
         Ok(())

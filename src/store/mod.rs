@@ -8,6 +8,7 @@ mod blobs;
 mod contents;
 mod jobs;
 mod parses;
+mod records;
 mod scenes;
 mod vlm;
 
@@ -15,10 +16,13 @@ pub use answers::AnswerRow;
 pub use blobs::{Blobs, Scratch};
 pub use jobs::{JobRow, JobState};
 pub use parses::{NewParse, ParseRow};
+pub use records::ParseRecord;
 pub use scenes::SceneRow;
 
 use camino::Utf8Path;
 use jiff::Timestamp;
+use sqlx::SqlSafeStr;
+use sqlx::migrate::{Migration, MigrationType, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
 use std::fs::{self, File, TryLockError};
 use std::io;
@@ -68,7 +72,7 @@ impl Store {
             .foreign_keys(true)
             .busy_timeout(BUSY_TIMEOUT);
         let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
-        sqlx::migrate!().run(&writer).await?;
+        migrations().run(&writer).await?;
         let reader = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
         let store = Self { reader, writer, blobs, _lock: Arc::new(lock) };
         store.sweep().await?;
@@ -104,6 +108,20 @@ impl Store {
         let answers: Vec<String> = sqlx::query_scalar("SELECT id FROM answers").fetch_all(&self.reader).await?;
         Ok(self.blobs.keep_only(&contents, &parses, &answers)?)
     }
+}
+
+/// What brings a database of any version up to date, in order. A file that has been released is never changed.
+const MIGRATIONS: [(i64, &str, &str); 3] = [
+    (1, "scenes parses jobs answers", include_str!("../../migrations/0001_scenes_parses_jobs_answers.sql")),
+    (2, "instance names spending", include_str!("../../migrations/0002_instance_names_spending.sql")),
+    (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
+];
+
+fn migrations() -> Migrator {
+    let migration = |&(version, name, sql): &(i64, &'static str, &'static str)| {
+        Migration::new(version, name.into(), MigrationType::Simple, sql.into_sql_str(), false)
+    };
+    Migrator::with_migrations(MIGRATIONS.iter().map(migration).collect())
 }
 
 fn lock(data_dir: &Utf8Path) -> Result<File, StoreError> {

@@ -1,20 +1,49 @@
 //! Finished parses and their instances.
 
+use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
 use super::{Store, StoreError, now};
-use crate::scene::{Instance, InstanceId};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{FromRow, Row};
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::scene::{ImportReport, Instance, InstanceId, ParseReport};
+use uniground_types::settings::{ParseModels, ParseSettings};
 
-/// A finished parse as stored; JSON columns as text.
-#[derive(Debug, Clone, PartialEq, Eq, sqlx::FromRow)]
+/// A finished parse as stored; JSON columns as text: [`record`](Self::record) reads them.
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ParseRow {
     pub id: String,
     pub content_hash: String,
     pub settings_hash: String,
-    pub settings: String,
-    pub models: String,
-    pub import_report: String,
-    pub parse_report: String,
-    pub extent: String,
+    settings: String,
+    models: String,
+    import_report: String,
+    parse_report: String,
+    extent: String,
     pub created_at: String,
+}
+
+impl FromRow<'_, SqliteRow> for ParseRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            id: row.try_get("id")?,
+            content_hash: row.try_get("content_hash")?,
+            settings_hash: row.try_get("settings_hash")?,
+            settings: row.try_get("settings")?,
+            models: row.try_get("models")?,
+            import_report: row.try_get("import_report")?,
+            parse_report: row.try_get("parse_report")?,
+            extent: row.try_get("extent")?,
+            created_at: row.try_get("created_at")?,
+        })
+    }
+}
+
+impl ParseRow {
+    /// What the row says, as far as this version can read it.
+    #[must_use]
+    pub fn record(&self) -> ParseRecord {
+        ParseRecord::read(&self.settings, &self.models, &self.import_report, &self.parse_report, &self.extent)
+    }
 }
 
 /// A parse about to be recorded; its blobs are in place.
@@ -22,11 +51,11 @@ pub struct NewParse<'a> {
     pub id: &'a str,
     pub content_hash: &'a str,
     pub settings_hash: &'a str,
-    pub settings: String,
-    pub models: String,
-    pub import_report: String,
-    pub parse_report: String,
-    pub extent: String,
+    pub settings: &'a ParseSettings,
+    pub models: &'a ParseModels,
+    pub import: &'a ImportReport,
+    pub report: &'a ParseReport,
+    pub extent: &'a Aabb,
     pub instances: &'a [Instance],
 }
 
@@ -37,35 +66,38 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn insert_parse(&self, parse: NewParse<'_>) -> Result<bool, StoreError> {
-        let NewParse { id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, instances } = parse;
+        let NewParse { id, content_hash, settings_hash, settings, models, import, report, extent, instances } = parse;
         let bodies = instances
             .iter()
-            .map(|i| Ok((i.id.0, serde_json::to_string(i)?)))
+            .map(|i| Ok((i.id.0, serde_json::to_string(&InstanceRecord::from(i))?)))
             .collect::<Result<Vec<_>, StoreError>>()?;
         let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
         let inserted = sqlx::query(
-            "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at)
-             SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9 WHERE EXISTS (SELECT 1 FROM contents WHERE hash = ?2) ON CONFLICT DO NOTHING",
+            "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at,
+                                 record_version)
+             SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10 WHERE EXISTS (SELECT 1 FROM contents WHERE hash = ?2) ON CONFLICT DO NOTHING",
         )
         .bind(id)
         .bind(content_hash)
         .bind(settings_hash)
-        .bind(settings)
-        .bind(models)
-        .bind(import_report)
-        .bind(parse_report)
-        .bind(extent)
+        .bind(serde_json::to_string(settings)?)
+        .bind(serde_json::to_string(models)?)
+        .bind(serde_json::to_string(import)?)
+        .bind(serde_json::to_string(report)?)
+        .bind(serde_json::to_string(extent)?)
         .bind(now())
+        .bind(RECORD_VERSION)
         .execute(&mut *tx)
         .await?;
         if inserted.rows_affected() == 0 {
             return Ok(false);
         }
         for (instance, body) in bodies {
-            sqlx::query("INSERT INTO instances (parse_id, id, body) VALUES (?, ?, ?)")
+            sqlx::query("INSERT INTO instances (parse_id, id, body, record_version) VALUES (?, ?, ?, ?)")
                 .bind(id)
                 .bind(instance)
                 .bind(body)
+                .bind(RECORD_VERSION)
                 .execute(&mut *tx)
                 .await?;
         }
@@ -97,7 +129,7 @@ impl Store {
             .bind(parse_id)
             .fetch_all(&self.reader)
             .await?;
-        bodies.iter().map(|body| Ok(serde_json::from_str(body)?)).collect()
+        bodies.iter().map(|body| Ok(serde_json::from_str::<InstanceRecord>(body)?.into())).collect()
     }
 
     /// # Errors
@@ -105,6 +137,6 @@ impl Store {
     pub async fn instance(&self, parse_id: &str, id: InstanceId) -> Result<Option<Instance>, StoreError> {
         let sql = "SELECT body FROM instances WHERE parse_id = ? AND id = ?";
         let body: Option<String> = sqlx::query_scalar(sql).bind(parse_id).bind(id.0).fetch_optional(&self.reader).await?;
-        Ok(body.map(|body| serde_json::from_str(&body)).transpose()?)
+        Ok(body.map(|body| serde_json::from_str::<InstanceRecord>(&body)).transpose()?.map(Instance::from))
     }
 }

@@ -1,10 +1,13 @@
 //! Scenes.
 
 use super::{Store, StoreError, now};
+use camino::Utf8PathBuf;
+use sqlx::sqlite::SqliteRow;
+use sqlx::{FromRow, Row};
 use uuid::Uuid;
 
 /// A scene as stored.
-#[derive(Debug, Clone, PartialEq, Eq, sqlx::FromRow)]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SceneRow {
     pub id: String,
     pub name: String,
@@ -14,6 +17,21 @@ pub struct SceneRow {
     pub job_id: Option<String>,
     pub created_at: String,
     pub updated_at: String,
+}
+
+impl FromRow<'_, SqliteRow> for SceneRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            id: row.try_get("id")?,
+            name: row.try_get("name")?,
+            content_hash: row.try_get("content_hash")?,
+            parse_id: row.try_get("parse_id")?,
+            parse_version: row.try_get("parse_version")?,
+            job_id: row.try_get("job_id")?,
+            created_at: row.try_get("created_at")?,
+            updated_at: row.try_get("updated_at")?,
+        })
+    }
 }
 
 const SCENE_OF_KEY: &str = "SELECT scenes.* FROM scenes JOIN idempotency_keys ON scene_id = scenes.id WHERE key = ?";
@@ -104,37 +122,34 @@ impl Store {
         Ok(())
     }
 
-    /// Removes a scene with its answers, and its content and parses when no other scene shares them. `false` when there is none.
+    /// Removes the rows of a scene with its answers, and those of its content and parses when no other scene shares them. The folders that
+    /// no row speaks of any more come back, for the caller to remove; `None` when there is no such scene.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn delete_scene(&self, id: &str) -> Result<bool, StoreError> {
+    pub async fn delete_scene(&self, id: &str) -> Result<Option<Vec<Utf8PathBuf>>, StoreError> {
         let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
         let answers: Vec<String> = sqlx::query_scalar("SELECT id FROM answers WHERE scene_id = ?").bind(id).fetch_all(&mut *tx).await?;
         let content: Option<String> = sqlx::query_scalar("DELETE FROM scenes WHERE id = ? RETURNING content_hash")
             .bind(id)
             .fetch_optional(&mut *tx)
             .await?;
-        let Some(content) = content else { return Ok(false) };
+        let Some(content) = content else { return Ok(None) };
         let shared: i64 = sqlx::query_scalar("SELECT count(*) FROM scenes WHERE content_hash = ?")
             .bind(&content)
             .fetch_one(&mut *tx)
             .await?;
-        let mut orphans: Vec<String> = Vec::new();
+        let mut folders: Vec<Utf8PathBuf> = answers.iter().map(|answer| self.blobs.answer(answer)).collect();
         if shared == 0 {
-            orphans = sqlx::query_scalar("DELETE FROM parses WHERE content_hash = ? RETURNING id")
+            let parses: Vec<String> = sqlx::query_scalar("DELETE FROM parses WHERE content_hash = ? RETURNING id")
                 .bind(&content)
                 .fetch_all(&mut *tx)
                 .await?;
             sqlx::query("DELETE FROM contents WHERE hash = ?").bind(&content).execute(&mut *tx).await?;
+            folders.extend([self.blobs.content(&content), self.blobs.checkpoints(&content)]);
+            folders.extend(parses.iter().map(|parse| self.blobs.parse(parse)));
         }
         tx.commit().await?;
-        answers.iter().try_for_each(|answer| self.blobs.remove(&self.blobs.answer(answer)))?;
-        if shared == 0 {
-            self.blobs.remove(&self.blobs.content(&content))?;
-            self.blobs.remove(&self.blobs.checkpoints(&content))?;
-            orphans.iter().try_for_each(|parse| self.blobs.remove(&self.blobs.parse(parse)))?;
-        }
-        Ok(true)
+        Ok(Some(folders))
     }
 }

@@ -5,7 +5,7 @@ use camino::Utf8Path;
 use reqwest::Method;
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
-use uniground::client::Client;
+use uniground_client::Client;
 
 const KEY: &str = "ug_0123456789abcdef";
 

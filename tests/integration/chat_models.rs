@@ -7,21 +7,22 @@ use serde_json::{Value, json};
 use std::fs;
 use std::process::{Command, Output};
 use std::time::Duration;
-use uniground::client::ClientError;
+use uniground::chat::{ChatClient, Endpoint, Patience, ReplayCache};
 use uniground::config::{LimitsConfig, VlmConfig};
-use uniground::models::chat::{ChatClient, ChatError, ChatRequest, Endpoint, Part, Patience, Prices, Tape};
-use uniground::service::{GroundRequest, ParserChoice, ReasonerChoice};
+use uniground_client::ClientError;
+use uniground_core::models::chat::{ChatError, ChatModel, ChatRequest, Part, Prices};
+use uniground_types::question::{GroundRequest, ParserChoice, ReasonerChoice};
 
 fn quick() -> Patience {
     Patience { backoff: Duration::from_millis(1), longest_wait: Duration::from_millis(5), ..Patience::default() }
 }
 
-fn client(base_url: String, tape: Tape) -> ChatClient {
+fn client(base_url: String, replay_cache: ReplayCache) -> ChatClient {
     let prices = Prices { prompt_usd: 2.0, completion_usd: 8.0 };
     ChatClient::new(
         Endpoint { base_url, model: "scripted".into(), api_key: Some("sk-secret-key".into()), prices, concurrency: 4 },
         quick(),
-        tape,
+        replay_cache,
     )
 }
 
@@ -34,16 +35,16 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
     let busy = || fails(429, "slow down");
     let script = Script::default();
     let url = script.serve(vec![busy(), fails(503, ""), says("fine")]).await;
-    let reply = client(url, Tape::None).ask(&question("a")).await.unwrap();
+    let reply = client(url, ReplayCache::Off).ask(&question("a")).await.unwrap();
     assert_eq!((reply.text.as_str(), reply.attempts, reply.prompt_tokens), ("fine", 3, 700));
     assert_eq!(script.asked.lock().unwrap()[0].0.as_deref(), Some("Bearer sk-secret-key"));
 
     // Five attempts, no more.
     let script = Script::default();
     let url = script.serve(vec![busy()]).await;
-    let error = client(url, Tape::None).ask(&question("a")).await.unwrap_err();
+    let error = client(url, ReplayCache::Off).ask(&question("a")).await.unwrap_err();
     assert!(
-        matches!(&error.error, ChatError::Refused { status, detail } if status.as_u16() == 429 && detail == "slow down"),
+        matches!(&error.error, ChatError::Refused { status, detail, .. } if *status == 429 && detail == "slow down"),
         "{error:?}"
     );
     assert_eq!(script.calls(), 5);
@@ -51,7 +52,7 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
     // A wrong key is wrong at once, and is not repeated in the message.
     let script = Script::default();
     let url = script.serve(vec![fails(401, "bad key: sk-secret-key")]).await;
-    let error = client(url, Tape::None).ask(&question("a")).await.unwrap_err();
+    let error = client(url, ReplayCache::Off).ask(&question("a")).await.unwrap_err();
     assert!(!format!("{error:?} {error}").contains("sk-secret") && script.calls() == 1, "{error:?}");
     assert!(error.to_string().contains("bad key: <key>"), "{error}");
 }
@@ -60,7 +61,7 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
 async fn a_server_that_knows_no_schemas_is_asked_without() {
     let script = Script::default();
     let url = script.serve(vec![fails(400, "unknown field response_format"), says("{}")]).await;
-    client(url, Tape::None).ask(&question("a")).await.unwrap();
+    client(url, ReplayCache::Off).ask(&question("a")).await.unwrap();
     let asked = script.asked.lock().unwrap();
     assert!(asked[0].1.get("response_format").is_some() && asked[1].1.get("response_format").is_none());
 }
@@ -135,25 +136,25 @@ fn eval(out: &Utf8Path, args: &[&str]) -> Output {
 }
 
 #[test]
-fn a_table_that_was_paid_for_is_computed_again_from_tape() {
+fn a_table_that_was_paid_for_is_computed_again_for_nothing() {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let script = Script::default();
     let url = runtime.block_on(script.serve(vec![reads_mug()]));
     let temporary = tempfile::tempdir().unwrap();
     let root = Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
-    let tape = root.join("tape.jsonl");
+    let record = root.join("answers.jsonl");
     let model = ["--vlm-url", &url, "--vlm-model", "scripted", "--vlm-prompt-usd", "2"];
-    let recorded = eval(&root.join("a"), &[&model[..], &["--record", tape.as_str()]].concat());
+    let recorded = eval(&root.join("a"), &[&model[..], &["--record", record.as_str()]].concat());
     assert!(recorded.status.success(), "{}", String::from_utf8_lossy(&recorded.stderr));
     let calls = script.calls();
     assert_eq!(calls, 19, "one call for each expression of one cell");
-    assert!(!fs::read_to_string(&tape).unwrap().contains("127.0.0.1"));
+    assert!(!fs::read_to_string(&record).unwrap().contains("127.0.0.1"));
 
-    // Recorded once more: what is on the tape is not paid for again.
-    eval(&root.join("b"), &[&model[..], &["--record", tape.as_str()]].concat());
+    // Recorded once more: what is on the record is not paid for again.
+    eval(&root.join("b"), &[&model[..], &["--record", record.as_str()]].concat());
     assert_eq!(script.calls(), calls);
     // Replayed: no model, no address, the same figures.
-    let replayed = eval(&root.join("c"), &["--replay", tape.as_str(), "--vlm-prompt-usd", "2"]);
+    let replayed = eval(&root.join("c"), &["--replay", record.as_str(), "--vlm-prompt-usd", "2"]);
     assert!(replayed.status.success(), "{}", String::from_utf8_lossy(&replayed.stderr));
     assert_eq!(script.calls(), calls);
     let figures = |folder: &str| {
@@ -164,15 +165,15 @@ fn a_table_that_was_paid_for_is_computed_again_from_tape() {
     };
     assert_eq!(figures("a"), figures("c"));
     assert!(figures("c")["vlm_calls"] == 1.0 && figures("c")["cost_usd"].as_f64().unwrap() > 0.0, "{}", figures("c"));
-    // A question that is not on the tape fails, and is told; it is no answer of the grammar's.
-    fs::write(&tape, fs::read_to_string(&tape).unwrap().lines().take(1).map(|l| format!("{l}\n")).collect::<String>()).unwrap();
-    let partly = eval(&root.join("d"), &["--replay", tape.as_str()]);
+    // A question that is not on the record fails, and is told; it is no answer of the grammar's.
+    fs::write(&record, fs::read_to_string(&record).unwrap().lines().take(1).map(|l| format!("{l}\n")).collect::<String>()).unwrap();
+    let partly = eval(&root.join("d"), &["--replay", record.as_str()]);
     assert!(partly.status.success(), "{}", String::from_utf8_lossy(&partly.stderr));
     assert_eq!(figures("d")["failed"], 18, "{}", figures("d"));
     let told = String::from_utf8_lossy(&partly.stderr).into_owned();
-    assert!(told.contains("18 of 19 questions failed") && told.contains("the tape has no answer"), "{told}");
-    // A tape that is none is named by its line.
-    fs::write(&tape, "{}\n{}\n").unwrap();
-    let broken = eval(&root.join("e"), &["--replay", tape.as_str()]);
-    assert!(String::from_utf8_lossy(&broken.stderr).contains("tape.jsonl:1: not a line of a tape"));
+    assert!(told.contains("18 of 19 questions failed") && told.contains("the replay cache has no answer"), "{told}");
+    // A record that is none is named by its line.
+    fs::write(&record, "{}\n{}\n").unwrap();
+    let broken = eval(&root.join("e"), &["--replay", record.as_str()]);
+    assert!(String::from_utf8_lossy(&broken.stderr).contains("answers.jsonl:1: not a recorded answer"));
 }

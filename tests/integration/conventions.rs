@@ -3,7 +3,7 @@
 use crate::archives::Scan;
 use crate::server::{TestServer, ask, parsed};
 use nalgebra::{Matrix4, Vector4};
-use uniground::geometry::up_axis::UpAxis;
+use uniground_core::geometry::up_axis::UpAxis;
 
 /// Rewrites every pose of the test room.
 fn with_poses(scan: Scan, rewrite: impl Fn(Matrix4<f32>) -> Matrix4<f32>) -> Scan {

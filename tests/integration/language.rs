@@ -1,6 +1,6 @@
 //! Language and space alone: annotated objects with their names, so that only words and geometry are measured.
 
-use crate::shared_scenes::shared_scene;
+use crate::shared_scenes::{development_rooms, shared_scene};
 use camino::Utf8Path;
 use std::fs;
 use uniground::config::BundlesConfig;
@@ -10,11 +10,11 @@ use uniground::evaluation::report::{CellReport, Report, RunFacts};
 use uniground::evaluation::run::{RunOptions, run};
 use uniground::evaluation::suite::{Suite, SuiteOptions};
 use uniground::evaluation::systems::{InProcess, ModelUse, Names, instances_of};
-use uniground::geometry::boxes::Aabb;
-use uniground::grounding::direction::DirectionConvention;
-use uniground::grounding::{Question, SceneView, Status, ground};
-use uniground::models::attributes::Lexicon;
-use uniground::scene::{Instance, PointCloud};
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::grounding::direction::DirectionConvention;
+use uniground_core::grounding::{Question, SceneView, Status, ground};
+use uniground_core::models::attributes::Lexicon;
+use uniground_core::scene::{Instance, PointCloud};
 
 #[derive(serde::Deserialize)]
 struct Expression {
@@ -161,8 +161,8 @@ fn paraphrased(query: &str) -> String {
 /// The whole system with no model at all; the quality gate holds the figure, this the floor.
 #[test]
 fn parsed_rooms_are_answered_without_any_model() {
-    let Some(folder) = shared_scene("room1.zip") else { return };
-    let suite = Suite::open(&folder, &SuiteOptions::default()).unwrap();
+    let Some(rooms) = development_rooms() else { return };
+    let suite = Suite::open(Utf8Path::from_path(rooms.path()).unwrap(), &SuiteOptions::default()).unwrap();
     let out = tempfile::tempdir().unwrap();
     let cells = configuration::cells("source=parsed", &Configuration::default()).unwrap();
     let options = RunOptions { out: Utf8Path::from_path(out.path()).unwrap(), cells: &cells, concurrency: 1, progress: &|_| {} };

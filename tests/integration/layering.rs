@@ -1,27 +1,57 @@
-//! Imports run downwards only, as ARCHITECTURE.md draws the house.
+//! Imports run downwards only, as ARCHITECTURE.md draws the house. The compiler checks the walls between the packages; here stand those
+//! within them.
 
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Floors from the top; modules on one floor do not know each other.
-const FLOORS: &[&[&str]] = &[
-    &["cli"],
-    &["evaluation"],
-    &["app", "client"],
-    &["config", "telemetry"],
-    &["http"],
-    &["service"],
-    &["error"],
-    &["jobs"],
-    &["store", "ingest", "scene_parsing", "grounding"],
-    &["models", "render"],
-    &["scene"],
-    &["geometry", "progress"],
+/// Floors of a package from the top; modules on one floor do not know each other.
+type Floors = &'static [&'static [&'static str]];
+
+const PACKAGES: [(&str, Floors); 3] = [
+    (
+        "src",
+        &[
+            &["cli"],
+            &["evaluation"],
+            &["app"],
+            &["config", "telemetry"],
+            &["http"],
+            &["service"],
+            &["error"],
+            &["jobs"],
+            &["store"],
+            &["chat", "inference", "words"],
+        ],
+    ),
+    (
+        "crates/uniground-core/src",
+        &[
+            &["grounding"],
+            &["parse"],
+            &["scene_parsing", "ingest"],
+            &["models", "render"],
+            &["scene"],
+            &["geometry", "progress", "background", "recent"],
+        ],
+    ),
+    (
+        "crates/uniground-types/src",
+        &[
+            &["scenes", "instances", "service", "transcript"],
+            &["answer", "question", "settings", "job", "models"],
+            &["scene", "problem"],
+            &["geometry"],
+        ],
+    ),
 ];
 
 /// What leans on its own floor by design.
 const ALLOWED: &[(&str, &str)] = &[("telemetry", "config")];
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
@@ -55,36 +85,57 @@ fn imports(text: &str) -> Vec<String> {
 
 #[test]
 fn imports_run_downwards_only() {
-    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
-    let floor: BTreeMap<&str, usize> = FLOORS.iter().enumerate().flat_map(|(i, names)| names.iter().map(move |n| (*n, i))).collect();
-    let mut files = Vec::new();
-    sources(&root, &mut files);
-    assert!(files.len() > 50, "only {} files found", files.len());
     let mut wrong = Vec::new();
-    for file in files {
-        let relative = file.strip_prefix(&root).unwrap().to_str().unwrap().to_owned();
-        let module = relative.split(['/', '.']).next().unwrap().to_owned();
-        if matches!(module.as_str(), "lib" | "main") {
-            continue;
-        }
-        let Some(&own) = floor.get(module.as_str()) else {
-            wrong.push(format!("{relative}: the module {module} stands on no floor"));
-            continue;
-        };
-        for name in imports(&fs::read_to_string(&file).unwrap()) {
-            let downwards = floor.get(name.as_str()).is_some_and(|&other| other > own);
-            if name != module && !downwards && !ALLOWED.contains(&(module.as_str(), name.as_str())) {
-                wrong.push(format!("{relative} imports {name}"));
+    for (package, floors) in PACKAGES {
+        let root = root().join(package);
+        let floor: BTreeMap<&str, usize> = floors.iter().enumerate().flat_map(|(i, names)| names.iter().map(move |n| (*n, i))).collect();
+        let mut files = Vec::new();
+        sources(&root, &mut files);
+        assert!(files.len() > 10, "{package}: only {} files found", files.len());
+        for file in files {
+            let relative = file.strip_prefix(&root).unwrap().to_str().unwrap().to_owned();
+            let module = relative.split(['/', '.']).next().unwrap().to_owned();
+            if matches!(module.as_str(), "lib" | "main") {
+                continue;
+            }
+            let Some(&own) = floor.get(module.as_str()) else {
+                wrong.push(format!("{package}/{relative}: the module {module} stands on no floor"));
+                continue;
+            };
+            for name in imports(&fs::read_to_string(&file).unwrap()) {
+                let downwards = floor.get(name.as_str()).is_some_and(|&other| other > own);
+                if name != module && !downwards && !ALLOWED.contains(&(module.as_str(), name.as_str())) {
+                    wrong.push(format!("{package}/{relative} imports {name}"));
+                }
             }
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
 }
 
+/// A robot's own process needs no server, and a client no pipelines. What packages depend on in turn is for `make lint` to see.
+#[test]
+fn no_package_leans_on_what_it_should_not_know() {
+    for (package, strangers) in [
+        ("uniground-types", &["uniground-core", "uniground-client", "tokio", "ort", "image", "rayon"][..]),
+        ("uniground-core", &["uniground-client", "tokio", "reqwest", "sqlx", "axum", "clap", "utoipa", "anyhow"]),
+        ("uniground-client", &["uniground-core", "ort", "sqlx", "axum", "clap", "image", "rayon"]),
+    ] {
+        let manifest = fs::read_to_string(root().join("crates").join(package).join("Cargo.toml")).unwrap();
+        let dependencies = manifest.split("[dependencies]").nth(1).unwrap().split("\n[").next().unwrap().to_owned();
+        for stranger in strangers {
+            let named = dependencies.lines().any(|line| line.split(['=', '.', ' ']).next() == Some(stranger));
+            assert!(!named, "{package} depends on {stranger}");
+        }
+    }
+}
+
 #[test]
 fn files_stay_small() {
     let mut files = Vec::new();
-    sources(&Path::new(env!("CARGO_MANIFEST_DIR")).join("src"), &mut files);
+    for folder in ["src", "crates"] {
+        sources(&root().join(folder), &mut files);
+    }
     for file in files {
         let lines = fs::read_to_string(&file).unwrap().lines().count();
         assert!(lines <= 500, "{} has {lines} lines: one idea per file", file.display());

@@ -5,8 +5,8 @@ use crate::server::{TestServer, ask, problem};
 use camino::Utf8PathBuf;
 use std::fs;
 use uniground::config::{LimitsConfig, VlmConfig};
-use uniground::grounding::Status;
-use uniground::service::{EvidenceMode, GroundRequest, ReasonerChoice};
+use uniground_core::grounding::Status;
+use uniground_types::question::{EvidenceMode, GroundRequest, ReasonerChoice};
 
 const QUERY: &str = "the mug on the coffee table";
 

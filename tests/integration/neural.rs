@@ -13,12 +13,13 @@ use std::process::Command;
 use std::sync::Arc;
 use std::time::Duration;
 use uniground::config::{BundlesConfig, LimitsConfig, ModelsConfig, RuntimeConfig, VlmConfig};
-use uniground::grounding::QueryText;
-use uniground::jobs::Job;
-use uniground::models::neural::{Engine, verify};
-use uniground::models::neural::{ModelError, Models, RemoteServer, Role};
-use uniground::scene::Embeddings;
-use uniground::service::ShortlistRequest;
+use uniground::inference::RemoteServer;
+use uniground_core::grounding::QueryText;
+use uniground_core::models::neural::verify;
+use uniground_core::models::neural::{ModelError, Models, Role};
+use uniground_core::scene::Embeddings;
+use uniground_types::job::Job;
+use uniground_types::question::ShortlistRequest;
 
 fn root() -> &'static Utf8Path {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -31,7 +32,7 @@ fn sample() -> Vec<u8> {
 fn bundles() -> BundlesConfig {
     let library = std::env::var("ORT_DYLIB_PATH").map_or_else(|_| root().join(".onnxruntime/libonnxruntime.so"), Utf8PathBuf::from);
     let runtime = RuntimeConfig { onnxruntime_lib: Some(library), ..RuntimeConfig::default() };
-    BundlesConfig { models: root().join("tests/data"), runtime, ..BundlesConfig::default() }
+    BundlesConfig { models: root().join("crates/uniground-core/tests/data"), runtime, ..BundlesConfig::default() }
 }
 
 fn tiny() -> ModelsConfig {
@@ -98,7 +99,7 @@ async fn models_take_part_from_the_upload_to_the_answer() {
         server
             .data()
             .join("blobs/parses")
-            .join(server.stored("blobs/parses").pop().unwrap())
+            .join(server.stored("blobs/parses").into_iter().max().unwrap()) // the latest
             .join("embedding_norms.npy"),
     )
     .unwrap();
@@ -164,7 +165,11 @@ fn a_server_whose_models_are_wrong_does_not_start() {
         ),
     ] {
         let mut server = command(data, "127.0.0.1:0");
-        let output = server.args(&flags).args(["--models", root().join("tests/data").as_str()]).output().unwrap();
+        let output = server
+            .args(&flags)
+            .args(["--models", root().join("crates/uniground-core/tests/data").as_str()])
+            .output()
+            .unwrap();
         let told = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(1), "{flags:?}: {told}");
         assert!(told.contains(expected), "{expected}: {told}");
@@ -175,7 +180,7 @@ fn a_server_whose_models_are_wrong_does_not_start() {
 /// What lies in the folder, and whether it works, from the command line.
 #[test]
 fn bundles_are_listed_and_verified() {
-    let (folder, library) = (root().join("tests/data"), bundles().runtime.onnxruntime_lib.unwrap());
+    let (folder, library) = (root().join("crates/uniground-core/tests/data"), bundles().runtime.onnxruntime_lib.unwrap());
     let models = |args: &[&str]| {
         let mut program = Command::new(env!("CARGO_BIN_EXE_uniground"));
         let output = program.arg("models").args(args).args(["--models", folder.as_str()]).output().unwrap();
@@ -294,8 +299,8 @@ async fn a_misbehaving_inference_server_is_told_at_load() {
     ] {
         let address = serve(mood).await;
         let loaded = tokio::task::spawn_blocking(move || {
-            let engine = Engine::Remote(RemoteServer::new(&address, Duration::from_millis(400)).unwrap());
-            verify(&engine, &root().join("tests/data/tiny-dual-encoder"))
+            let engine = RemoteServer::new(&address, Duration::from_millis(400)).unwrap();
+            verify(&engine, &root().join("crates/uniground-core/tests/data/tiny-dual-encoder"))
         });
         let error = loaded.await.unwrap().unwrap_err();
         assert!(error.to_string().contains(expected), "{mood:?}: {error}");
@@ -303,8 +308,8 @@ async fn a_misbehaving_inference_server_is_told_at_load() {
     }
     let address = serve(Mood::PlainOnly).await;
     let loaded = tokio::task::spawn_blocking(move || {
-        let engine = Engine::Remote(RemoteServer::new(&address, Duration::from_secs(5)).unwrap());
-        Models::default().with_encoder(&engine, &root().join("tests/data/tiny-dual-encoder"))
+        let engine = RemoteServer::new(&address, Duration::from_secs(5)).unwrap();
+        Models::default().with_encoder(&engine, &root().join("crates/uniground-core/tests/data/tiny-dual-encoder"))
     });
     assert_eq!(loaded.await.unwrap().unwrap().loaded[0].dimensions, Some(64));
 }

@@ -1,6 +1,7 @@
 //! Real weights against golden outputs of the Python runtime, and what they find in annotated rooms. These need `make models` first and
 //! take minutes: `make test-models` runs them.
 
+use crate::shared_scenes::development_rooms;
 use camino::{Utf8Path, Utf8PathBuf};
 use image::RgbImage;
 use serde::Deserialize;
@@ -9,15 +10,16 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::process::Command;
 use std::time::Duration;
-use uniground::evaluation::annotated::Room;
+use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground::evaluation::annotations::Annotations;
 use uniground::evaluation::segmentation::score_instances;
 use uniground::evaluation::systems::{Names, instances_of, see};
-use uniground::models::neural::{DualEncoder, Engine, Models, PointLabel, Prompt, RemoteServer, RuntimeSettings, Segmenter};
-use uniground::progress::Progress;
-use uniground::scene_parsing::checkpoints::Checkpoints;
-use uniground::scene_parsing::masks::sam::{EncodedFrames, SamMasks};
-use uniground::scene_parsing::{self, ParsingSettings, Perception};
+use uniground::inference::RemoteServer;
+use uniground_core::models::neural::{DualEncoder, Engine, Models, OnnxRuntime, PointLabel, Prompt, RuntimeSettings, Segmenter};
+use uniground_core::progress::Progress;
+use uniground_core::scene_parsing::checkpoints::Checkpoints;
+use uniground_core::scene_parsing::masks::sam::{EncodedFrames, SamMasks};
+use uniground_core::scene_parsing::{self, ParsingSettings, Perception};
 
 fn root() -> &'static Utf8Path {
     Utf8Path::new(env!("CARGO_MANIFEST_DIR"))
@@ -29,8 +31,9 @@ fn golden(path: &str) -> Utf8PathBuf {
     file
 }
 
-fn engine() -> Engine {
-    Engine::local(&RuntimeSettings { library: Some(root().join(".onnxruntime/libonnxruntime.so")), ..RuntimeSettings::default() }).unwrap()
+fn engine() -> OnnxRuntime {
+    OnnxRuntime::load(&RuntimeSettings { library: Some(root().join(".onnxruntime/libonnxruntime.so")), ..RuntimeSettings::default() })
+        .unwrap()
 }
 
 fn encoder() -> std::sync::Arc<DualEncoder> {
@@ -50,8 +53,8 @@ fn segmenter() -> std::sync::Arc<Segmenter> {
 }
 
 /// The annotated rooms, which lie beside the checkout where this project is built.
-fn room(name: &str, scratch: &tempfile::TempDir) -> Room {
-    Room::load(&root().join("../shared/scenes"), name, Utf8Path::from_path(scratch.path()).unwrap()).unwrap()
+fn room(name: &str, scratch: &tempfile::TempDir) -> AnnotatedRoom {
+    AnnotatedRoom::load(&root().join("../shared/scenes"), name, Utf8Path::from_path(scratch.path()).unwrap()).unwrap()
 }
 
 fn picture(path: &str) -> RgbImage {
@@ -234,9 +237,9 @@ fn clip_finds_annotated_things_by_their_names() {
 #[test]
 #[ignore = "needs models: make test-models"]
 fn parsed_rooms_are_answered_with_clip() {
-    let out = tempfile::tempdir().unwrap();
+    let (out, rooms) = (tempfile::tempdir().unwrap(), development_rooms().expect("make test-models has looked for the rooms"));
     let output = Command::new(env!("CARGO_BIN_EXE_uniground"))
-        .args(["eval", root().join("../shared/scenes").as_str(), "--out", out.path().to_str().unwrap()])
+        .args(["eval", rooms.path().to_str().unwrap(), "--out", out.path().to_str().unwrap()])
         .args(["--matrix", "source=parsed;encoder=clip-vitb16-lite", "--models", root().join("models").as_str()])
         .args(["--onnxruntime-lib", root().join(".onnxruntime/libonnxruntime.so").as_str()])
         .output()
@@ -253,10 +256,10 @@ fn parsed_rooms_are_answered_with_clip() {
 #[ignore = "needs an inference server: make test-models"]
 fn networks_answer_alike_here_and_behind_a_server() {
     let address = std::env::var("KSERVE_URL").expect("KSERVE_URL: scripts/test-models.sh starts a server");
-    let remote = Engine::Remote(RemoteServer::new(&address, Duration::from_mins(1)).unwrap());
-    let data = root().join("tests/data");
-    let [here, there] =
-        [engine(), remote].map(|engine| Models::default().with_encoder(&engine, &data.join("tiny-dual-encoder")).unwrap().encoder.unwrap());
+    let remote = RemoteServer::new(&address, Duration::from_mins(1)).unwrap();
+    let data = root().join("crates/uniground-core/tests/data");
+    let [here, there] = [&engine() as &dyn Engine, &remote]
+        .map(|engine| Models::default().with_encoder(engine, &data.join("tiny-dual-encoder")).unwrap().encoder.unwrap());
     let pictures: Vec<RgbImage> = (1..12)
         .map(|i| RgbImage::from_fn(70, 50, |x, y| image::Rgb([(x * i) as u8, (y * 2) as u8, i as u8])))
         .collect();
@@ -265,9 +268,8 @@ fn networks_answer_alike_here_and_behind_a_server() {
     }
     let text = "the small blue mug";
     assert!(cosine(&here.embed_text(text).unwrap().vector.unwrap(), &there.embed_text(text).unwrap().vector.unwrap()) > 0.999_99);
-    let remote = Engine::Remote(RemoteServer::new(&address, Duration::from_mins(1)).unwrap());
-    let [here, there] = [engine(), remote]
-        .map(|engine| Models::default().with_segmenter(&engine, &data.join("tiny-segmenter")).unwrap().segmenter.unwrap());
+    let [here, there] = [&engine() as &dyn Engine, &remote]
+        .map(|engine| Models::default().with_segmenter(engine, &data.join("tiny-segmenter")).unwrap().segmenter.unwrap());
     let prompts: Vec<Prompt> = (0..20).map(|i| Prompt::inside([(i as f32 * 3.0, 20.0)])).collect();
     let masks = |segmenter: &Segmenter| segmenter.decode(&segmenter.encode(&pictures[3]).unwrap(), &prompts).unwrap();
     for (a, b) in masks(&here).iter().flatten().zip(masks(&there).iter().flatten()) {

@@ -3,8 +3,8 @@
 use crate::archives::Scan;
 use crate::server::{Process, ask, finished, parsed};
 use camino::Utf8Path;
-use uniground::service::SceneStatus;
 use uniground::store::JobState;
+use uniground_types::scenes::SceneStatus;
 
 #[tokio::test]
 async fn a_killed_server_comes_back_with_scenes_instances_and_answers() {

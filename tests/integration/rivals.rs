@@ -7,8 +7,8 @@ use futures::future::join_all;
 use reqwest::Method;
 use serde_json::json;
 use uniground::config::LimitsConfig;
-use uniground::geometry::up_axis::UpAxis;
 use uniground::store::JobState;
+use uniground_core::geometry::up_axis::UpAxis;
 
 #[tokio::test]
 async fn one_key_sent_many_times_at_once_makes_one_scene() {

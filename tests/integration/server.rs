@@ -2,14 +2,16 @@
 
 use camino::{Utf8Path, Utf8PathBuf};
 use reqwest::Method;
+use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use uniground::app::{self, RunningService};
-use uniground::client::{Client, ClientError};
 use uniground::config::{AccessConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig, VlmConfig};
-use uniground::http::Problem;
-use uniground::jobs::Job;
-use uniground::service::{GroundRequest, Scene};
+use uniground_client::{Client, ClientError};
+use uniground_types::job::Job;
+use uniground_types::problem::Problem;
+use uniground_types::question::GroundRequest;
+use uniground_types::scenes::Scene;
 
 /// A running server with a fresh data folder.
 pub struct TestServer {
@@ -118,7 +120,17 @@ pub struct Process {
 
 impl Process {
     pub fn start(data: &Utf8Path) -> Self {
-        let mut child = command(data, "127.0.0.1:0").stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+        Self::started(command(data, "127.0.0.1:0").stderr(Stdio::null()))
+    }
+
+    /// With its log in a file, as JSON, at the level that is on by default.
+    pub fn start_logging(data: &Utf8Path, log: &Utf8Path) -> Self {
+        let mut command = command(data, "127.0.0.1:0");
+        Self::started(command.args(["--log-format", "json"]).env_remove("RUST_LOG").stderr(File::create(log).unwrap()))
+    }
+
+    fn started(command: &mut Command) -> Self {
+        let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
         let address = line

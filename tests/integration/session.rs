@@ -4,10 +4,11 @@ use crate::archives::Scan;
 use crate::server::{TestServer, ask, finished, parsed, problem};
 use reqwest::Method;
 use serde_json::json;
-use uniground::grounding::Status;
-use uniground::scene::InstanceId;
-use uniground::service::{SceneReport, SceneStatus, ShortlistRequest};
 use uniground::store::JobState;
+use uniground_core::grounding::Status;
+use uniground_core::scene::InstanceId;
+use uniground_types::question::ShortlistRequest;
+use uniground_types::scenes::{SceneReport, SceneStatus};
 
 #[tokio::test]
 async fn upload_parse_ask_and_look() {
@@ -27,8 +28,8 @@ async fn upload_parse_ask_and_look() {
     assert_eq!(answer.status, Status::Grounded, "{answer:?}");
     let aabb = answer.aabb.unwrap();
     // The sofa of the test room spans (-1, 0.6, 0) to (1, 1.5, 0.8).
-    assert!((aabb.center - uniground::geometry::Point3::new(0.0, 1.05, 0.4)).norm() < 0.15, "{aabb:?}");
-    assert!((aabb.size - uniground::geometry::Vector3::new(2.0, 0.9, 0.8)).norm() < 0.25, "{aabb:?}");
+    assert!((aabb.center - uniground_core::geometry::Point3::new(0.0, 1.05, 0.4)).norm() < 0.15, "{aabb:?}");
+    assert!((aabb.size - uniground_core::geometry::Vector3::new(2.0, 0.9, 0.8)).norm() < 0.25, "{aabb:?}");
     let oriented = answer.oriented_box.unwrap();
     assert!(oriented.yaw_rad.abs() < 0.1 && (oriented.center - aabb.center).norm() < 0.1, "{oriented:?}");
     assert_eq!(answer.models.reasoner, "builtin-2");
@@ -119,7 +120,7 @@ async fn a_cloud_alone_is_a_scene_without_pictures() {
     let instances = server.client.instances(&scene.id, 1000).await.unwrap().instances;
     // The sofa's top is its largest surface: red, 2.0 x 0.9 m, at 0.8 m.
     let top = instances.iter().find(|i| i.mean_rgb[0] > 150 && (i.aabb.center.z - 0.8).abs() < 0.05).unwrap();
-    assert!((top.aabb.size.xy() - uniground::geometry::Vector2::new(2.0, 0.9)).norm() < 0.1, "{top:?}");
+    assert!((top.aabb.size.xy() - uniground_core::geometry::Vector2::new(2.0, 0.9)).norm() < 0.1, "{top:?}");
     let missing = server.client.bytes(&format!("v1/scenes/{}/instances/{}/views/0.jpg", scene.id, top.id)).await;
     assert_eq!(problem(missing).code, "view_not_found");
     server.stop().await;
@@ -171,7 +172,7 @@ async fn the_report_tells_and_shows_what_every_stage_did() {
     let scene = server.parsed(Scan::neutral().zip()).await;
     let report = server.client.report(&scene.id).await.unwrap();
     let stages: Vec<&str> = report.parse.as_ref().unwrap().stages.iter().map(|s| s.stage.as_str()).collect();
-    assert_eq!(stages, ["import", "superpoints", "masks_and_lifting", "merging", "wholes", "instances", "views"]);
+    assert_eq!(stages, ["import", "superpoints", "masks_and_lifting", "merging", "part_merging", "instances", "views"]);
     assert!(report.parse.as_ref().unwrap().stages.iter().all(|s| s.produced > 0), "{report:?}");
     assert_eq!((report.parse_version, reused(&report)), (1, vec![]));
     let names: Vec<&str> = report.pictures.iter().map(|p| p.name.as_str()).collect();
@@ -311,7 +312,7 @@ async fn an_instance_can_be_read_by_itself_and_in_pages() {
     let page = server.client.instances(&scene.id, 1).await.unwrap();
     assert_eq!((page.instances.len(), page.next_cursor), (1, Some(1)));
     let bytes = server.client.bytes(&format!("v1/scenes/{}/instances/1", scene.id)).await.unwrap();
-    let one: uniground::service::InstanceView = serde_json::from_slice(&bytes).unwrap();
+    let one: uniground_types::instances::InstanceView = serde_json::from_slice(&bytes).unwrap();
     assert_eq!((one.id, &one), (InstanceId(1), &all.instances[0]));
     server.stop().await;
 }

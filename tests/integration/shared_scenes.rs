@@ -4,8 +4,8 @@
 use crate::server::{TestServer, ask, parsed};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
-use uniground::geometry::up_axis::UpAxis;
-use uniground::grounding::Status;
+use uniground_core::geometry::up_axis::UpAxis;
+use uniground_core::grounding::Status;
 
 pub fn shared_scene(name: &str) -> Option<Utf8PathBuf> {
     let folder = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("../shared/scenes");
@@ -15,6 +15,20 @@ pub fn shared_scene(name: &str) -> Option<Utf8PathBuf> {
     assert!(std::env::var_os("UNIGROUND_REQUIRE_SHARED").is_none(), "{folder}/{name} is missing");
     println!("left out: {name} is not beside this checkout");
     None
+}
+
+/// The annotated rooms this project was developed with, and none of the others: what is held by a test is held on these; what other
+/// rooms come to is printed by `make quality`.
+pub fn development_rooms() -> Option<tempfile::TempDir> {
+    let folder = shared_scene("room1.zip")?.canonicalize_utf8().unwrap();
+    let rooms = tempfile::tempdir().unwrap();
+    for room in ["room1", "room2"] {
+        for file in ["zip", "scene.json", "queries.json"] {
+            let name = format!("{room}.{file}");
+            std::os::unix::fs::symlink(folder.join(&name), rooms.path().join(&name)).unwrap();
+        }
+    }
+    Some(rooms)
 }
 
 /// Real scans that do not say which way is up: the cameras do.

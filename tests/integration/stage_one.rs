@@ -5,26 +5,27 @@ use crate::shared_scenes::shared_scene;
 use camino::Utf8Path;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use tokio_util::sync::CancellationToken;
-use uniground::evaluation::annotated::Room;
+use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_superpoints};
-use uniground::geometry::Point3;
-use uniground::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
-use uniground::ingest::{self, ImportSettings};
-use uniground::progress::Progress;
-use uniground::scene::{Frame, ImportReport, ParsedScene, PointCloud, PoseConvention, SceneBundle, Structure};
-use uniground::scene_parsing::checkpoints::Checkpoints;
-use uniground::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground::scene_parsing::masks::{IdImage, MaskSource};
-use uniground::scene_parsing::{self, ParseError, ParsingSettings, Perception, superpoints};
+use uniground_core::geometry::Point3;
+use uniground_core::ingest;
+use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
+use uniground_core::progress::Progress;
+use uniground_core::scene::{Frame, ImportReport, ParsedScene, PointCloud, PoseConvention, SceneBundle, Structure};
+use uniground_core::scene_parsing::checkpoints::Checkpoints;
+use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
+use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
+use uniground_core::scene_parsing::{self, ParseError, ParsingSettings, Perception, superpoints};
+use uniground_types::settings::ImportSettings;
 
 /// Objects with fewer points are left out of recall.
 const MIN_POINTS: u32 = 200;
 
 /// Loads an annotated room and runs `test` on it; says so where the rooms are not beside the checkout.
-fn with_room(name: &str, test: impl FnOnce(Room)) {
+fn with_room(name: &str, test: impl FnOnce(AnnotatedRoom)) {
     let Some(folder) = shared_scene(&format!("{name}.zip")) else { return };
     let scratch = tempfile::tempdir().unwrap();
-    test(Room::load(&folder, name, Utf8Path::from_path(scratch.path()).unwrap()).unwrap());
+    test(AnnotatedRoom::load(&folder, name, Utf8Path::from_path(scratch.path()).unwrap()).unwrap());
 }
 
 fn parse(bundle: SceneBundle, masks: &dyn MaskSource) -> ParsedScene {
@@ -32,7 +33,7 @@ fn parse(bundle: SceneBundle, masks: &dyn MaskSource) -> ParsedScene {
         .unwrap()
 }
 
-fn score(room: &Room, masks: &dyn MaskSource) -> InstanceScore {
+fn score(room: &AnnotatedRoom, masks: &dyn MaskSource) -> InstanceScore {
     score_instances(&parse(room.bundle.clone(), masks), &room.objects(MIN_POINTS), &room.truth)
 }
 
@@ -164,7 +165,8 @@ fn a_cancelled_parse_goes_on_where_it_stopped() {
     let checkpoints = Checkpoints::kept_in(Utf8Path::from_path(kept.path()).unwrap(), "the sample");
     let settings = ParsingSettings::default();
     let run = |watched: &Watched, settings: &ParsingSettings| {
-        let progress = Progress::new(|_, _| {}, watched.stop.clone());
+        let stop = watched.stop.clone();
+        let progress = Progress::new(|_, _| {}, move || stop.is_cancelled());
         scene_parsing::parse(bundle.clone(), &Perception::with_masks(watched), settings, &checkpoints, &progress)
     };
     let reused = |parsed: &ParsedScene| parsed.report.stages.iter().filter(|s| s.reused).map(|s| s.stage.clone()).collect::<Vec<_>>();
@@ -223,7 +225,7 @@ fn kept_frames_must_be_those_of_the_scan() {
 fn bare(positions: Vec<Point3<f32>>) -> SceneBundle {
     let report = ImportReport {
         format: "test".into(),
-        up: uniground::geometry::up_axis::UpAxis::Z,
+        up: uniground_core::geometry::up_axis::UpAxis::Z,
         pose: PoseConvention::CameraToWorld,
         camera_axes: "opencv".into(),
         frames: 0,

@@ -7,7 +7,7 @@ use camino::Utf8Path;
 use futures::stream;
 use std::fs;
 use std::io;
-use uniground::client::Client;
+use uniground_client::Client;
 
 const CHUNK: usize = 1 << 20;
 

@@ -5,14 +5,14 @@ use super::markdown::interval;
 use super::{CellReport, Report, escaped};
 use crate::evaluation::measures::Figures;
 use crate::evaluation::pictures;
-use crate::evaluation::scoring::Outcome;
-use crate::grounding::Status;
+use crate::evaluation::scoring::ScoredExpression;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use camino::Utf8Path;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::fs;
+use uniground_core::grounding::Status;
 
 const STYLE: &str = "body{font:15px/1.5 system-ui,sans-serif;max-width:1400px;margin:2rem auto;padding:0 1rem;color:#222}\
 table{border-collapse:collapse;margin:1rem 0;font-size:14px}td,th{padding:.2rem .6rem;border-bottom:1px solid #ddd;text-align:right;white-space:nowrap}th{white-space:normal}\
@@ -103,7 +103,7 @@ fn section(cell: &CellReport, folder: &Utf8Path, embedded: usize) -> String {
         curve("names and attributes alone, .5", &cell.figures.shortlist_recall_at, 1),
     ];
     html.push_str(&charts::lines("Recall at k", "k", &curves, Some(1.0)));
-    let failures: Vec<&Outcome> = cell.failures().collect();
+    let failures: Vec<&ScoredExpression> = cell.failures().collect();
     let _ = write!(
         html,
         "<details><summary>{} of {} wrong</summary><p>Truth green, answer red, other candidates blue.</p>",
@@ -117,7 +117,7 @@ fn section(cell: &CellReport, folder: &Utf8Path, embedded: usize) -> String {
     html
 }
 
-fn failure(outcome: &Outcome, folder: &Utf8Path, embed: bool) -> String {
+fn failure(outcome: &ScoredExpression, folder: &Utf8Path, embed: bool) -> String {
     let mut html = String::from("<div class=\"failure\"><div>");
     if let Some(name) = &outcome.picture {
         let link = format!("{}/{name}", pictures::FOLDER);

@@ -8,14 +8,15 @@ use super::configuration::Configuration;
 use super::measures::Figures;
 use super::records::Omission;
 use super::run::CellResult;
-use super::scoring::Outcome;
+use super::scoring::ScoredExpression;
 use super::suite::Suite;
-use crate::service::Models;
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fs;
+use uniground_core::grounding::reasoner::builtin;
+use uniground_types::answer::Models;
 
 const FORMAT: &str = "uniground-report/1";
 
@@ -64,7 +65,7 @@ pub struct CellReport {
     pub by_scene: BTreeMap<String, Figures>,
     /// Expressions whose scene could not be used by this cell, and why.
     pub left_out: Vec<LeftOut>,
-    pub outcomes: Vec<Outcome>,
+    pub outcomes: Vec<ScoredExpression>,
 }
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -121,16 +122,18 @@ impl Report {
 
 impl CellReport {
     fn new(CellResult { name, configuration, outcomes, left_out }: CellResult, seed: u64) -> Self {
-        let mut splits: BTreeMap<&str, Vec<&Outcome>> = BTreeMap::new();
-        let mut by_scene: BTreeMap<&str, Vec<&Outcome>> = BTreeMap::new();
+        let mut splits: BTreeMap<&str, Vec<&ScoredExpression>> = BTreeMap::new();
+        let mut by_scene: BTreeMap<&str, Vec<&ScoredExpression>> = BTreeMap::new();
         for outcome in &outcomes {
             outcome.splits.iter().for_each(|split| splits.entry(split).or_default().push(outcome));
             by_scene.entry(&outcome.scene).or_default().push(outcome);
         }
-        let figures = |groups: BTreeMap<&str, Vec<&Outcome>>| {
+        let figures = |groups: BTreeMap<&str, Vec<&ScoredExpression>>| {
             groups.into_iter().map(|(name, group)| (name.to_owned(), Figures::of(&group, seed))).collect()
         };
-        let models = outcomes.iter().find_map(|o| o.reply.as_ref()).map(|reply| reply.models.clone());
+        // Where the built-in reasoner stood in for a model here and there, the cell is still the model's.
+        let replies = || outcomes.iter().filter_map(|o| o.reply.as_ref()).map(|reply| &reply.models);
+        let models = replies().find(|models| models.reasoner != builtin::NAME).or_else(|| replies().next()).cloned();
         Self {
             notes: notes(&configuration, models.as_ref()),
             figures: Figures::of(&outcomes.iter().collect::<Vec<_>>(), seed),
@@ -145,7 +148,7 @@ impl CellReport {
     }
 
     /// Wrong answers, in the order of the suite.
-    pub fn failures(&self) -> impl Iterator<Item = &Outcome> {
+    pub fn failures(&self) -> impl Iterator<Item = &ScoredExpression> {
         self.outcomes.iter().filter(|o| !o.is_right())
     }
 }
@@ -157,8 +160,8 @@ pub fn escaped(text: &str) -> String {
 }
 
 fn notes(configuration: &Configuration, models: Option<&Models>) -> Vec<String> {
-    use crate::service::Ablation;
-    let builtin = models.is_some_and(|m| m.reasoner.starts_with("builtin"));
+    use uniground_types::question::Ablation;
+    let builtin = models.is_some_and(|m| m.reasoner == builtin::NAME);
     let mut notes = Vec::new();
     if builtin && configuration.ablation != Ablation::Full {
         notes.push("the built-in reasoner has no prompt: ablations change nothing".into());

@@ -13,13 +13,13 @@ mod task_folders;
 use super::annotations::{Annotations, check_box};
 use super::records::{Omission, Record};
 use super::sealed::Sealed;
-use crate::geometry::boxes::Aabb;
-use crate::geometry::rotated_box::RotatedBox;
 use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use label_map::LabelMap;
 use std::collections::BTreeMap;
 use std::fs;
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::geometry::rotated_box::RotatedBox;
 
 /// What a system is told of a task.
 #[derive(Debug, Clone, PartialEq, Eq)]

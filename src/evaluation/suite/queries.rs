@@ -2,12 +2,12 @@
 
 use super::{Collected, RawTarget, RawTask, SceneFiles};
 use crate::evaluation::records::{Omission, Record};
-use crate::geometry::boxes::Aabb;
 use anyhow::Context;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
 use serde_json::Value;
 use serde_json::value::RawValue;
+use uniground_core::geometry::boxes::Aabb;
 
 #[derive(Deserialize)]
 struct QueryRecord {

@@ -6,13 +6,13 @@
 use super::{Collected, RawTarget, RawTask, SceneFiles, entries};
 use crate::evaluation::annotations::{Annotations, SceneObject, check_box};
 use crate::evaluation::records::Omission;
-use crate::geometry::boxes::Aabb;
-use crate::geometry::{Point3, Vector3};
 use camino::Utf8Path;
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::fs;
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::geometry::{Point3, Vector3};
 
 /// How deep below the suite's folder a `task.json` may lie: `<root>/<scene>/<task>/task.json`.
 const DEPTH: u32 = 3;

@@ -1,5 +1,5 @@
 use super::*;
-use crate::geometry::{Point3, Vector3};
+use uniground_core::geometry::{Point3, Vector3};
 
 /// A folder with these files.
 fn folder(files: &[(&str, &str)]) -> (tempfile::TempDir, Utf8PathBuf) {

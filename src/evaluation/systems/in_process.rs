@@ -1,8 +1,8 @@
 //! The pipelines themselves, without a server or a store.
 
-use super::asker::{Album, Asker, Room};
 use super::oracle::{Names, give_name, instances_of, see, view};
 use super::{OpenScene, System};
+use crate::chat::ChatClient;
 use crate::config::{BundlesConfig, ModelsConfig};
 use crate::evaluation::annotations::Annotations;
 use crate::evaluation::configuration::{Configuration, Source};
@@ -10,24 +10,32 @@ use crate::evaluation::digest;
 use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
 use crate::evaluation::sealed::OracleRun;
 use crate::evaluation::suite::{Expression, Hints, SuiteScene};
-use crate::geometry::boxes::Aabb;
-use crate::grounding::query::{self, BuiltinParser, QueryParser};
-use crate::grounding::{self, Appearance, Question, SceneView, ShortlistScoring};
-use crate::ingest::{self, Unpacked};
-use crate::models::attributes;
-use crate::models::chat::ChatClient;
-use crate::models::neural::{DualEncoder, Models as NeuralModels, Role};
-use crate::progress::Progress;
-use crate::render::Scenery;
-use crate::scene::{Embeddings, Instance, InstanceId, ParsedScene, PointCloud};
-use crate::scene_parsing::checkpoints::Checkpoints;
-use crate::service::{self, Models, ParseSettings, ParsedScan, ParserChoice, ReasonerChoice, Usage, parse_scan};
+use crate::service::usage;
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
 use std::collections::HashMap;
 use std::fs;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
+use tokio::runtime::Runtime;
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::grounding::album::{Album, AlbumScene};
+use uniground_core::grounding::pipeline::{self, Answered, Ask, Review, WithoutModel, shortlist_of};
+use uniground_core::grounding::query::{BuiltinParser, QueryParser, VlmParser};
+use uniground_core::grounding::vlm::Options;
+use uniground_core::grounding::{Question, ShortlistScoring};
+use uniground_core::ingest::{self, Unpacked};
+use uniground_core::models::attributes;
+use uniground_core::models::chat::{Budget, ChatModel};
+use uniground_core::models::neural::{Models as NeuralModels, Role};
+use uniground_core::parse::{ParsedScan, parse_scan};
+use uniground_core::progress::Progress;
+use uniground_core::render::RenderScene;
+use uniground_core::scene::{Embeddings, FrameRef, Instance, InstanceId, ParsedScene, PointCloud};
+use uniground_core::scene_parsing::checkpoints::Checkpoints;
+use uniground_types::answer::Models;
+use uniground_types::question::{ParserChoice, ReasonerChoice};
+use uniground_types::settings::ParseSettings;
 
 /// How a model is asked in a run.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -41,41 +49,40 @@ pub struct ModelUse {
 /// The system of this executable.
 pub struct InProcess {
     fingerprint: String,
-    vlm: Option<Arc<Asker>>,
+    vlm: Option<Arc<Reviewer>>,
     bundles: BundlesConfig,
     /// Loaded models by the names of masks and encoder.
     loaded: Mutex<HashMap<(String, String), NeuralModels>>,
 }
 
 struct LocalScene {
-    instances: Vec<Instance>,
+    instances: Arc<[Instance]>,
     boxes: Vec<Aabb>,
-    extent: Aabb,
-    scenery: Scenery,
-    models: Models,
-    /// Where an encoder has seen the scene.
-    seen: Option<(Arc<DualEncoder>, Embeddings)>,
-    album: Album,
-    vlm: Option<Arc<Asker>>,
+    /// Where the instances come from.
+    masks: String,
+    album: Arc<Album>,
+    /// Where the photographs lie; a temporary folder goes with it.
+    _folder: Option<Unpacked>,
+    vlm: Option<Arc<Reviewer>>,
 }
 
 impl InProcess {
-    /// `tape` is where the model's answers are recorded, if they are; `usage` is how it is asked.
+    /// `recorded` is where the model's answers are recorded, if they are; `usage` is how it is asked.
     ///
     /// # Errors
     /// When the executable can not be read: what it would answer is known by its bytes.
-    pub fn new(bundles: BundlesConfig, vlm: Option<ChatClient>, tape: Option<&Utf8Path>, usage: ModelUse) -> anyhow::Result<Self> {
+    pub fn new(bundles: BundlesConfig, vlm: Option<ChatClient>, recorded: Option<&Utf8Path>, usage: ModelUse) -> anyhow::Result<Self> {
         let executable = std::env::current_exe()?;
         let bytes = fs::read(&executable).with_context(|| executable.display().to_string())?;
         let program = digest::of(&bytes);
-        // What was answered off this tape is not on it.
+        // What was answered without this record is not in it.
         let fingerprint = format!(
             "{program} {} {} {}",
             bundles.models,
-            vlm.as_ref().map_or("", |client| client.model()),
-            tape.map_or("", Utf8Path::as_str)
+            vlm.as_ref().map_or("", |client| client.name()),
+            recorded.map_or("", Utf8Path::as_str)
         );
-        let vlm = vlm.map(|client| Asker::new(client, usage.max_usd, usage.json)).transpose()?.map(Arc::new);
+        let vlm = vlm.map(|client| Reviewer::new(client, usage)).transpose()?.map(Arc::new);
         Ok(Self { fingerprint, vlm, bundles, loaded: Mutex::default() })
     }
 
@@ -124,14 +131,14 @@ impl System for InProcess {
         // The scene is brought in once for all reasoners and parsers: where a model may decide, it needs photographs.
         let with_views = self.vlm.is_some();
         let known = |annotations: &Annotations, names| boxed(annotations, scene, names, &models, &settings, with_views);
-        let Entered { instances, cloud, extent, masks, embeddings, album } = match configuration.source {
+        let Entered { instances, cloud, extent, masks, embeddings, frames, folder } = match configuration.source {
             Source::Parsed => {
                 let scan = scene.scan.as_deref().with_context(|| missing("scan"))?;
                 let folder = Unpacked::of(scan)?;
                 let ParsedScan { scene, models, frames, .. } =
                     parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &Progress::silent())?;
                 let ParsedScene { instances, cloud, extent, embeddings, .. } = scene;
-                Entered { instances, cloud, extent, masks: models.masks, embeddings, album: Album::new(frames, Some(folder)) }
+                Entered { instances, cloud, extent, masks: models.masks, embeddings, frames, folder: Some(folder) }
             }
             Source::Oracle => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, Names::Annotated)?,
             Source::OracleBoxes => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, Names::Encoder)?,
@@ -141,17 +148,13 @@ impl System for InProcess {
             .label(Role::Encoder)
             .filter(|_| embeddings.is_some())
             .unwrap_or_else(|| attributes::NAME.into());
-        let seen = models.encoder.zip(embeddings);
-        let models = Models { masks, encoder, parser: BuiltinParser.name(), reasoner: service::BUILTIN_REASONER.into() };
-        let boxes = instances.iter().map(|i| i.aabb).collect();
+        let album = Album::new(extent, RenderScene::of(cloud), models.encoder.zip(embeddings), encoder, frames);
         Ok(Box::new(LocalScene {
-            instances,
-            boxes,
-            extent,
-            scenery: Scenery::of(cloud),
-            models,
-            seen,
-            album,
+            boxes: instances.iter().map(|i| i.aabb).collect(),
+            instances: instances.into(),
+            masks,
+            album: Arc::new(album),
+            _folder: folder,
             vlm: self.vlm.clone(),
         }))
     }
@@ -164,7 +167,9 @@ struct Entered {
     extent: Aabb,
     masks: String,
     embeddings: Option<Embeddings>,
-    album: Album,
+    frames: Vec<FrameRef>,
+    /// Where the frames lie.
+    folder: Option<Unpacked>,
 }
 
 /// Instances from known boxes, with the scan's cloud where there is one, and what an encoder sees of them.
@@ -192,14 +197,16 @@ fn boxed(
     if with_views {
         view(known, &mut instances, &cloud, &frames, &settings.parsing)?;
     }
-    Ok(Entered { instances, cloud, extent, masks: "none".into(), embeddings, album: Album::new(frames, folder) })
+    Ok(Entered { instances, cloud, extent, masks: "none".into(), embeddings, frames, folder })
 }
 
 impl OpenScene for LocalScene {
     fn ask(&self, expression: &Expression, configuration: &Configuration, hints: Option<&Hints>) -> anyhow::Result<Reply> {
         // In a paper-compatible run annotated anchors join the scene.
-        let with_anchors: Option<Vec<Instance>> = hints.filter(|h| !h.anchors.is_empty()).map(|hints| self.with(&hints.anchors));
-        let instances = with_anchors.as_deref().unwrap_or(&self.instances);
+        let instances = match hints.filter(|h| !h.anchors.is_empty()) {
+            Some(hints) => self.with(&hints.anchors).into(),
+            None => self.instances.clone(),
+        };
         let question = Question {
             query: expression.query.clone(),
             top_k: configuration.top_k as usize,
@@ -207,36 +214,13 @@ impl OpenScene for LocalScene {
             observer: None,
             target_name: hints.and_then(|hints| hints.target_name.clone()),
         };
+        let source = self.album.scene(instances);
         let start = Instant::now();
-        let mut models = self.models.clone();
-        let (parsed, mut calls) = match (&self.vlm, configuration.parser) {
-            (Some(asker), ParserChoice::Vlm) => {
-                models.parser = asker.parser_name();
-                asker.read(&question.query)?
-            }
-            _ => (query::parse(&question.query), Vec::new()),
-        };
-        let reading = start.elapsed();
-        let looks = |(encoder, embeddings): &(Arc<DualEncoder>, Embeddings)| {
-            Appearance::of(&question.query, &parsed, encoder, embeddings, ShortlistScoring::default())
-        };
-        let appearance = self.seen.as_ref().map(looks).transpose()?;
-        let view = SceneView { instances, extent: self.extent, appearance: appearance.as_ref() };
-        let shortlist = grounding::shortlist(view, &parsed, SHORTLIST_DEPTH as usize);
-        let grounding = match self.vlm.as_ref().filter(|_| configuration.reasoner != ReasonerChoice::Builtin) {
-            None => grounding::ground_read(view, &question, parsed, reading),
-            Some(asker) => {
-                let (mut grounding, brief) = grounding::ground_and_brief(view, &question, parsed, reading);
-                if !brief.candidates.is_empty() {
-                    let room = Room { instances, scenery: &self.scenery, extent: self.extent, album: &self.album };
-                    let (of_review, reasoner) = asker.review(&room, &brief, &mut grounding, configuration)?;
-                    calls.extend(of_review);
-                    models.reasoner = reasoner.unwrap_or(models.reasoner);
-                }
-                grounding
-            }
-        };
+        let answered = answer(&source, self.vlm.as_deref(), question, configuration)?;
         let latency_ms = start.elapsed().as_secs_f64() * 1e3;
+        let Answered { grounding, parsed, parser, encoder, reasoner, calls, .. } = answered;
+        let scoring = ShortlistScoring::default();
+        let shortlist = shortlist_of(source.as_ref(), &expression.query, &parsed, (false, scoring), SHORTLIST_DEPTH as usize)?;
         Ok(Reply {
             status: grounding.status,
             answer: grounding.answer,
@@ -244,9 +228,9 @@ impl OpenScene for LocalScene {
             oriented_box: grounding.oriented_box,
             confidence: grounding.confidence,
             candidates: grounding.candidates,
-            shortlist: shortlist.iter().map(|c| c.aabb).collect(),
-            models,
-            usage: Usage::of(&calls),
+            shortlist: shortlist.candidates.iter().map(|c| c.aabb).collect(),
+            models: Models { masks: self.masks.clone(), encoder, parser, reasoner },
+            usage: usage(&calls),
             latency_ms,
         })
     }
@@ -259,14 +243,14 @@ impl OpenScene for LocalScene {
         ""
     }
 
-    fn scenery(&self) -> &Scenery {
-        &self.scenery
+    fn render_scene(&self) -> &RenderScene {
+        &self.album.render_scene
     }
 }
 
 impl LocalScene {
     fn with(&self, anchors: &[(String, Aabb)]) -> Vec<Instance> {
-        let mut instances = self.instances.clone();
+        let mut instances = self.instances.to_vec();
         let objects = Annotations::named(anchors);
         for mut anchor in instances_of(&objects, &PointCloud::default(), Names::Annotated) {
             let name = anchor.given_name.take().unwrap_or_default();
@@ -275,5 +259,44 @@ impl LocalScene {
             instances.push(anchor);
         }
         instances
+    }
+}
+
+/// The question pipeline, as a configuration wants it. A call of a model that failed is no answer of the configuration: it is told, counted
+/// as wrong, and asked again next time.
+fn answer(source: &Arc<AlbumScene>, vlm: Option<&Reviewer>, question: Question, configuration: &Configuration) -> anyhow::Result<Answered> {
+    let parser: Arc<dyn QueryParser> = match (vlm, configuration.parser) {
+        (Some(vlm), ParserChoice::Vlm) => Arc::new(VlmParser { model: vlm.model.clone(), budgets: vlm.budgets.clone() }),
+        _ => Arc::new(BuiltinParser),
+    };
+    let review = vlm.filter(|_| configuration.reasoner != ReasonerChoice::Builtin).map(|vlm| Review {
+        model: vlm.model.clone(),
+        budgets: vlm.budgets.clone(),
+        options: Options { ablation: configuration.ablation, evidence: configuration.evidence, json: vlm.json },
+        without_model: WithoutModel::Fail,
+    });
+    let ask = Ask { question, parser, without_parser: WithoutModel::Fail, allow_builtin_encoder: false, review };
+    let answered = pipeline::answer(source, ask);
+    match vlm {
+        Some(vlm) => vlm.runtime.block_on(answered),
+        // Without a model nothing is ever waited for.
+        None => futures::executor::block_on(answered),
+    }
+    .context("the question was not answered")
+}
+
+/// A vision-language model, what may be spent on it in this run, and a runtime to wait for it: evaluation asks from threads that have none.
+struct Reviewer {
+    model: Arc<dyn ChatModel>,
+    budgets: Vec<Budget>,
+    json: bool,
+    runtime: Runtime,
+}
+
+impl Reviewer {
+    fn new(client: ChatClient, ModelUse { max_usd, json }: ModelUse) -> anyhow::Result<Self> {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build()?;
+        let budgets = max_usd.map(|usd| Budget::new("this run", usd)).into_iter().collect();
+        Ok(Self { model: Arc::new(client), budgets, json, runtime })
     }
 }

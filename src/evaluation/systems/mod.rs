@@ -1,6 +1,5 @@
 //! What is measured: the pipelines in this process, or a running server.
 
-mod asker;
 mod in_process;
 mod oracle;
 mod server;
@@ -8,11 +7,11 @@ mod server;
 use super::configuration::Configuration;
 use super::reply::Reply;
 use super::suite::{Expression, Hints, SuiteScene};
-use crate::geometry::boxes::Aabb;
-use crate::render::Scenery;
 pub use in_process::{InProcess, ModelUse};
 pub use oracle::{Names, instances_of, see};
 pub use server::Server;
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::render::RenderScene;
 
 /// Something that answers expressions about scenes.
 pub trait System: Sync {
@@ -53,5 +52,5 @@ pub trait OpenScene: Sync {
     fn token(&self) -> &str;
 
     /// For pictures.
-    fn scenery(&self) -> &Scenery;
+    fn render_scene(&self) -> &RenderScene;
 }

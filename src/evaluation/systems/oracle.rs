@@ -1,16 +1,16 @@
 //! Annotations as instances: perfect boxes, and perfect names or the encoder's.
 
 use crate::evaluation::annotations::{Annotations, SceneObject};
-use crate::geometry::boxes::{Aabb, OrientedBox};
-use crate::geometry::colour::ColourHistogram;
-use crate::geometry::{Point3, Vector3};
-use crate::models::neural::DualEncoder;
-use crate::models::{attributes, likeness};
-use crate::progress::Progress;
-use crate::scene::{Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure, Support};
-use crate::scene_parsing::appearance::{self, Labelled};
-use crate::scene_parsing::instances::{planarity, supports};
-use crate::scene_parsing::{ParseError, ParsingSettings, views};
+use uniground_core::geometry::boxes::{Aabb, OrientedBox};
+use uniground_core::geometry::colour::ColourHistogram;
+use uniground_core::geometry::{Point3, Vector3};
+use uniground_core::models::neural::DualEncoder;
+use uniground_core::models::{attributes, calibration};
+use uniground_core::progress::Progress;
+use uniground_core::scene::{Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure, Support};
+use uniground_core::scene_parsing::appearance::{self, Labelled};
+use uniground_core::scene_parsing::instances::{planarity, supports};
+use uniground_core::scene_parsing::{ParseError, ParsingSettings, views};
 
 /// Who names annotated instances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -103,7 +103,7 @@ pub fn see(
     let (own, instance_of_point) = points_of(annotations, cloud);
     let labelled = Labelled { cloud: &own, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
     let rows = appearance::of_known(frames, instances, labelled, encoder, &settings.appearance)?;
-    Ok(likeness::name_all(instances, encoder, &rows)?)
+    Ok(calibration::name_all(instances, encoder, &rows)?)
 }
 
 /// Chooses the frames that show annotated instances best.

@@ -1,18 +1,11 @@
 //! A running server, over HTTP: scans are uploaded once and stay there.
 
 use super::{OpenScene, System};
-use crate::client::Client;
 use crate::config::{BUILTIN_ENCODER, BUILTIN_MASKS};
 use crate::evaluation::configuration::{Configuration, Source};
 use crate::evaluation::digest;
 use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
 use crate::evaluation::suite::{Expression, Hints, SuiteScene};
-use crate::geometry::boxes::Aabb;
-use crate::ingest::archive::ArchiveKind;
-use crate::ingest::read_cloud;
-use crate::jobs::JobState;
-use crate::render::Scenery;
-use crate::service::{GroundRequest, ParsePreset, ParserChoice, Scene, ShortlistRequest};
 use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use reqwest::Body;
@@ -23,6 +16,15 @@ use std::time::Instant;
 use tempfile::TempDir;
 use tokio::runtime::Runtime;
 use tokio_util::io::ReaderStream;
+use uniground_client::Client;
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::ingest::archive::ArchiveKind;
+use uniground_core::ingest::read_cloud;
+use uniground_core::render::RenderScene;
+use uniground_types::job::JobState;
+use uniground_types::question::{GroundRequest, ParserChoice, ShortlistRequest};
+use uniground_types::scenes::Scene;
+use uniground_types::settings::ParsePreset;
 
 /// A server, and the runtime to speak with it from threads that know of none.
 pub struct Server {
@@ -37,7 +39,7 @@ struct RemoteScene {
     id: String,
     token: String,
     boxes: Vec<Aabb>,
-    scenery: Scenery,
+    render_scene: RenderScene,
 }
 
 impl Server {
@@ -97,9 +99,9 @@ impl System for Server {
             let folder = tempfile::tempdir()?;
             let file = Utf8Path::from_path(folder.path()).context("the temporary folder is no text")?.join("cloud.ply");
             fs::write(&file, cloud)?;
-            let scenery = Scenery::of(read_cloud(&file)?);
+            let render_scene = RenderScene::of(read_cloud(&file)?);
             let token = token_of(&self.client.scene(&id).await?);
-            let scene = RemoteScene { token, client: self.client.clone(), runtime: self.runtime.clone(), id, boxes, scenery };
+            let scene = RemoteScene { token, client: self.client.clone(), runtime: self.runtime.clone(), id, boxes, render_scene };
             Ok(Box::new(scene) as Box<dyn OpenScene>)
         })
     }
@@ -150,8 +152,8 @@ impl OpenScene for RemoteScene {
         &self.token
     }
 
-    fn scenery(&self) -> &Scenery {
-        &self.scenery
+    fn render_scene(&self) -> &RenderScene {
+        &self.render_scene
     }
 }
 

@@ -1,0 +1,296 @@
+//! A typed client of uniground's HTTP API: upload a scan, follow its parse, ask questions.
+//!
+//! ```no_run
+//! # async fn example() -> Result<(), Box<dyn std::error::Error>> {
+//! use uniground_client::{Client, types::question::GroundRequest};
+//!
+//! let client = Client::new("http://127.0.0.1:8080", None)?;
+//! let created = client.create_scene(None, "application/zip", std::fs::read("living_room.zip")?).await?;
+//! let job = created.job.ok_or("nothing to wait for")?;
+//! client.follow_job(&job.id, |job| println!("{:.0} %", job.progress * 100.0)).await?;
+//! let answer = client.ground(&created.scene.id, &GroundRequest::of("the mug on the coffee table")).await?;
+//! println!("{:?} at {:?}", answer.status, answer.aabb);
+//! # Ok(())
+//! # }
+//! ```
+
+#![warn(missing_docs)]
+
+use futures::StreamExt;
+use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+pub use uniground_types as types;
+use uniground_types::answer::{Answer, Shortlisted};
+use uniground_types::instances::{InstanceList, InstanceView};
+use uniground_types::job::Job;
+use uniground_types::problem::{FieldError, Problem};
+use uniground_types::question::{GroundRequest, ShortlistRequest};
+use uniground_types::scenes::{Created, Scene, SceneList, SceneReport};
+use uniground_types::service::ModelList;
+use uniground_types::transcript::{AnswerPrompt, AnswerReply};
+
+/// Chooses the cryptography of TLS for this process: ring, unless something else was chosen before. `reqwest` brings none of its own and
+/// wants it to be there when a client is made.
+pub fn choose_cryptography() {
+    if rustls::crypto::CryptoProvider::get_default().is_none() {
+        let _chosen_meanwhile = rustls::crypto::ring::default_provider().install_default();
+    }
+}
+
+/// What can go wrong on the caller's side of the wire.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // Every message says what it is about.
+pub enum ClientError {
+    /// The server said no, and why.
+    #[error("{} ({}){}", .0.detail, .0.code, fields(&.0.errors))]
+    Problem(Box<Problem>),
+    #[error("the server answered {status} without a problem document: {body}")]
+    Unexpected { status: StatusCode, body: String },
+    #[error("the server can not be reached or broke off")]
+    Transport(#[from] reqwest::Error),
+    #[error("the server's answer can not be read")]
+    Undecodable(#[from] serde_json::Error),
+    #[error("{0} is not an address of a server")]
+    BadAddress(String),
+}
+
+fn fields(errors: &[FieldError]) -> String {
+    errors.iter().map(|e| format!("; {}: {}", e.pointer, e.detail)).collect()
+}
+
+/// A server and how to talk to it.
+#[derive(Debug, Clone)]
+pub struct Client {
+    http: reqwest::Client,
+    base: Url,
+    api_key: Option<String>,
+}
+
+impl Client {
+    /// `server` like `http://127.0.0.1:8080`.
+    ///
+    /// # Errors
+    /// [`ClientError::BadAddress`].
+    pub fn new(server: &str, api_key: Option<String>) -> Result<Self, ClientError> {
+        let base = Url::parse(server)
+            .ok()
+            .filter(|url| !url.cannot_be_a_base())
+            .ok_or_else(|| ClientError::BadAddress(server.into()))?;
+        choose_cryptography();
+        Ok(Self { http: reqwest::Client::new(), base, api_key })
+    }
+
+    /// Uploads an archive and starts parsing it.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn create_scene(
+        &self,
+        name: Option<&str>,
+        media_type: &str,
+        archive: impl Into<reqwest::Body>,
+    ) -> Result<Created, ClientError> {
+        let request = self.request(Method::POST, "v1/scenes").header("content-type", media_type).body(archive);
+        json(request.query(&[("name", name)])).await
+    }
+
+    /// Uploads an archive, or finds the scene that the same `key` made before.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn create_scene_once(
+        &self,
+        name: &str,
+        media_type: &str,
+        archive: impl Into<reqwest::Body>,
+        key: &str,
+    ) -> Result<Created, ClientError> {
+        let request = self.request(Method::POST, "v1/scenes").header("content-type", media_type);
+        json(request.header("idempotency-key", key).query(&[("name", name)]).body(archive)).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn scene(&self, id: &str) -> Result<Scene, ClientError> {
+        json(self.request(Method::GET, &format!("v1/scenes/{id}"))).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn scenes(&self, limit: u32, cursor: Option<&str>) -> Result<SceneList, ClientError> {
+        json(
+            self.request(Method::GET, "v1/scenes")
+                .query(&[("limit", Some(limit.to_string())), ("cursor", cursor.map(str::to_owned))]),
+        )
+        .await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn rename_scene(&self, id: &str, name: &str) -> Result<Scene, ClientError> {
+        json(self.request(Method::PATCH, &format!("v1/scenes/{id}")).json(&serde_json::json!({"name": name}))).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn delete_scene(&self, id: &str) -> Result<(), ClientError> {
+        checked(self.request(Method::DELETE, &format!("v1/scenes/{id}")).send().await?).await?;
+        Ok(())
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn parse(&self, id: &str, request: &impl Serialize) -> Result<Job, ClientError> {
+        json(self.request(Method::POST, &format!("v1/scenes/{id}/parse")).json(request)).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn report(&self, scene_id: &str) -> Result<SceneReport, ClientError> {
+        json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/report"))).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn instances(&self, scene_id: &str, limit: u32) -> Result<InstanceList, ClientError> {
+        json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/instances")).query(&[("limit", limit)])).await
+    }
+
+    /// Every instance of a scene, in order of id.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn all_instances(&self, scene_id: &str) -> Result<Vec<InstanceView>, ClientError> {
+        const PAGE: u32 = 200;
+        let mut instances = Vec::new();
+        let mut cursor = None;
+        loop {
+            let query = [("limit", Some(PAGE)), ("cursor", cursor)];
+            let page: InstanceList = json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/instances")).query(&query)).await?;
+            instances.extend(page.instances);
+            cursor = page.next_cursor;
+            if cursor.is_none() {
+                return Ok(instances);
+            }
+        }
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn ground(&self, scene_id: &str, request: &GroundRequest) -> Result<Answer, ClientError> {
+        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/ground")).json(request)).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn shortlist(&self, scene_id: &str, request: &ShortlistRequest) -> Result<Shortlisted, ClientError> {
+        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/shortlist")).json(request)).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn models(&self) -> Result<ModelList, ClientError> {
+        json(self.request(Method::GET, "v1/models")).await
+    }
+
+    /// Has the server's model name the objects of a scene.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn name_instances(&self, scene_id: &str) -> Result<Job, ClientError> {
+        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/names"))).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn answer_prompt(&self, id: &str) -> Result<AnswerPrompt, ClientError> {
+        json(self.request(Method::GET, &format!("v1/answers/{id}/prompt"))).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn answer_reply(&self, id: &str) -> Result<AnswerReply, ClientError> {
+        json(self.request(Method::GET, &format!("v1/answers/{id}/reply"))).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn answer(&self, id: &str) -> Result<Answer, ClientError> {
+        json(self.request(Method::GET, &format!("v1/answers/{id}"))).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn job(&self, id: &str) -> Result<Job, ClientError> {
+        json(self.request(Method::GET, &format!("v1/jobs/{id}"))).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn cancel_job(&self, id: &str) -> Result<Job, ClientError> {
+        json(self.request(Method::DELETE, &format!("v1/jobs/{id}"))).await
+    }
+
+    /// Follows a job's events to its end; `on_event` sees every state on the way.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn follow_job(&self, id: &str, mut on_event: impl FnMut(&Job)) -> Result<Job, ClientError> {
+        let response = checked(self.request(Method::GET, &format!("v1/jobs/{id}/events")).send().await?).await?;
+        let mut chunks = response.bytes_stream();
+        let mut buffer = Vec::new();
+        while let Some(chunk) = chunks.next().await {
+            buffer.extend_from_slice(&chunk?);
+            while let Some(end) = buffer.iter().position(|&byte| byte == b'\n') {
+                let line: Vec<u8> = buffer.drain(..=end).collect();
+                let Some(data) = line.strip_prefix(b"data: ") else { continue };
+                let job: Job = serde_json::from_slice(data)?;
+                on_event(&job);
+                if job.state.is_final() {
+                    return Ok(job);
+                }
+            }
+        }
+        // The stream ends early when the server stops; its word on the job still counts.
+        self.job(id).await
+    }
+
+    /// A resource as bytes, e.g. a picture: `path` as the API gives it.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn bytes(&self, path: &str) -> Result<Vec<u8>, ClientError> {
+        let response = checked(self.request(Method::GET, path.trim_start_matches('/')).send().await?).await?;
+        Ok(response.bytes().await?.to_vec())
+    }
+
+    /// A request to a path below the server's address.
+    pub fn request(&self, method: Method, path: &str) -> RequestBuilder {
+        // A path of plain segments always joins: the base is checked in `new`.
+        let url = self.base.join(path).unwrap_or_else(|_| self.base.clone());
+        let request = self.http.request(method, url);
+        match &self.api_key {
+            Some(key) => request.bearer_auth(key),
+            None => request,
+        }
+    }
+}
+
+async fn json<T: DeserializeOwned>(request: RequestBuilder) -> Result<T, ClientError> {
+    let body = checked(request.send().await?).await?.bytes().await?;
+    Ok(serde_json::from_slice(&body)?)
+}
+
+async fn checked(response: Response) -> Result<Response, ClientError> {
+    let status = response.status();
+    if status.is_success() {
+        return Ok(response);
+    }
+    let retry_after_s = response.headers().get("retry-after").and_then(|v| v.to_str().ok()?.parse().ok());
+    let body = response.text().await?;
+    Err(match serde_json::from_str::<Problem>(&body) {
+        Ok(problem) => ClientError::Problem(Box::new(Problem { retry_after_s, ..problem })),
+        Err(_) => ClientError::Unexpected { status, body },
+    })
+}

@@ -1,0 +1,119 @@
+//! A parsed scene in memory as the question pipeline sees it: for evaluation, and for a robot's own process.
+
+use super::picture_cache::PictureCache;
+use super::scene_source::{QuestionError, SceneSource};
+use crate::geometry::boxes::Aabb;
+use crate::models::neural::{DualEncoder, Models};
+use crate::parse::ParsedScan;
+use crate::render::{RenderScene, Shot};
+use crate::scene::{Embeddings, FrameRef, Instance, View};
+use crate::scene_parsing::evidence;
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// What all questions about a scene share.
+pub struct Album {
+    /// Box of all points, metres, world frame (Z up).
+    pub extent: Aabb,
+    /// The cloud, ready to be drawn.
+    pub render_scene: Arc<RenderScene>,
+    /// The encoder that has seen the scene, and what it saw; `None` without an encoder.
+    pub seen: Option<(Arc<DualEncoder>, Embeddings)>,
+    /// Name and version of the encoder that has seen the instances, or of the built-in attributes in its place.
+    pub encoder: String,
+    /// The scan's frames. Their picture files must stay in place as long as a model may be shown them.
+    pub frames: Vec<FrameRef>,
+    pictures: PictureCache,
+    /// Names a model gave.
+    names: Mutex<BTreeMap<u32, String>>,
+}
+
+/// An album with the instances that a question is about.
+pub struct AlbumScene {
+    album: Arc<Album>,
+    instances: Arc<[Instance]>,
+}
+
+impl Album {
+    /// An album without pictures and names yet: questions add them. Arguments are the fields of the same names.
+    #[must_use]
+    pub fn new(
+        extent: Aabb,
+        render_scene: RenderScene,
+        seen: Option<(Arc<DualEncoder>, Embeddings)>,
+        encoder: String,
+        frames: Vec<FrameRef>,
+    ) -> Self {
+        let render_scene = Arc::new(render_scene);
+        Self { extent, render_scene, seen, encoder, frames, pictures: PictureCache::default(), names: Mutex::default() }
+    }
+
+    /// These instances in this album.
+    #[must_use]
+    pub fn scene(self: &Arc<Self>, instances: Arc<[Instance]>) -> Arc<AlbumScene> {
+        Arc::new(AlbumScene { album: self.clone(), instances })
+    }
+}
+
+impl AlbumScene {
+    /// A scan as it was parsed, with these models.
+    #[must_use]
+    pub fn of(scan: ParsedScan, models: &Models) -> Arc<Self> {
+        let ParsedScan { scene, frames, models: used, .. } = scan;
+        let seen = models.encoder.clone().zip(scene.embeddings);
+        Arc::new(Album::new(scene.extent, RenderScene::of(scene.cloud), seen, used.encoder, frames)).scene(scene.instances.into())
+    }
+}
+
+impl SceneSource for AlbumScene {
+    type Error = QuestionError;
+
+    fn instances(&self) -> &[Instance] {
+        &self.instances
+    }
+
+    fn extent(&self) -> Aabb {
+        self.album.extent
+    }
+
+    fn encoder_name(&self) -> String {
+        self.album.encoder.clone()
+    }
+
+    fn embeddings(&self) -> Result<Option<(&DualEncoder, &Embeddings)>, QuestionError> {
+        Ok(self.album.seen.as_ref().map(|(encoder, embeddings)| (encoder.as_ref(), embeddings)))
+    }
+
+    fn render_scene(&self) -> Result<Arc<RenderScene>, QuestionError> {
+        Ok(self.album.render_scene.clone())
+    }
+
+    fn photographs(&self, instance: &Instance) -> Vec<Shot> {
+        let shot = |view: &View| {
+            let frame = self.album.frames.iter().find(|frame| frame.index == view.frame)?.decode_colour().ok()?;
+            Some(Shot::new(evidence::crop(&frame, view), frame, view.box_px))
+        };
+        instance.views.iter().filter_map(shot).collect()
+    }
+
+    fn pictures(&self) -> (&PictureCache, &str) {
+        (&self.album.pictures, "")
+    }
+
+    async fn names(&self) -> Result<BTreeMap<u32, String>, QuestionError> {
+        Ok(self.album.names.lock().unwrap_or_else(PoisonError::into_inner).clone())
+    }
+
+    async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), QuestionError> {
+        self.album.names.lock().unwrap_or_else(PoisonError::into_inner).extend(names.clone());
+        Ok(())
+    }
+
+    /// At once, on the thread that drives the question.
+    async fn compute<T: Send + 'static>(
+        self: &Arc<Self>,
+        work: impl FnOnce(&Self) -> Result<T, QuestionError> + Send + 'static,
+    ) -> Result<T, QuestionError> {
+        work(self)
+    }
+}

@@ -1,0 +1,153 @@
+//! The answer: six fields, both boxes, status, and what led there.
+
+use super::query::{Meaning, ParsedQuery, Phrase, Superlative};
+use super::reasoner::Verdict;
+use super::shortlist;
+use super::{Alternative, Candidate, ParsedQuerySummary, Question, SceneView, SixFields, Status, Timings};
+use crate::geometry::boxes::{Aabb, OrientedBox};
+use crate::scene::Instance;
+use serde::{Deserialize, Serialize};
+use std::time::Duration;
+
+/// Milliseconds of each step; the arguments are the times from the start to the end of a step.
+pub(super) fn timings(parsed: Duration, shortlisted: Duration, total: Duration) -> Timings {
+    let ms = |d: Duration| (d.as_secs_f64() * 1e6).round() / 1e3;
+    Timings {
+        parse_query: ms(parsed),
+        shortlist: ms(shortlisted.saturating_sub(parsed)),
+        evidence: 0.0,
+        reason: ms(total.saturating_sub(shortlisted)),
+        total: ms(total),
+    }
+}
+
+/// Everything stage 2 has to say about a question.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Grounding {
+    /// The question as it was asked.
+    pub query: String,
+    /// Only `grounded` has a box.
+    pub status: Status,
+    /// The paper's six fields (App. B.1).
+    pub answer: SixFields,
+    /// Axis-aligned box of the answer; `null` unless grounded.
+    #[serde(rename = "box")]
+    pub aabb: Option<Aabb>,
+    /// Yaw-oriented box of the answer; `null` unless grounded.
+    pub oriented_box: Option<OrientedBox>,
+    /// Belief in the answer, `0..=1`; for `no_match`, the belief that nothing fits.
+    pub confidence: f32,
+    /// The best candidates, best first.
+    pub candidates: Vec<Candidate>,
+    /// Other instances the question may mean, best first; for `ambiguous`, the tied ones are among them.
+    pub alternatives: Vec<Alternative>,
+    /// How the question was read.
+    pub parsed_query: ParsedQuerySummary,
+    /// What left, right, front and back go by: `paper`, `viewer`, or `observer` when the request has one. Words of the question that tell
+    /// ("facing the desk") override it.
+    pub direction_convention: String,
+    /// Milliseconds; the time a model takes to review the answer counts as `reason`.
+    pub timings_ms: Timings,
+}
+
+/// How many alternatives are told.
+const MAX_ALTERNATIVES: usize = 5;
+/// Alternatives below this share of the belief are not worth telling.
+const MIN_ALTERNATIVE: f32 = 0.05;
+
+pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQuery, verdict: Verdict, timings_ms: Timings) -> Grounding {
+    let Verdict { status, scores, beliefs, explanation, anchor, relation_used, target_name_matches } = verdict;
+    let candidates = shortlist::rank(scene, &scores, question.top_k);
+    let chosen = candidates
+        .first()
+        .filter(|_| status == Status::Grounded)
+        .map(|c| &scene.instances[c.id.0 as usize - 1]);
+    let confidence = match (status, candidates.first()) {
+        (Status::NoMatch, Some(best)) => 1.0 - best.score,
+        (Status::NoMatch, None) => 1.0,
+        (_, Some(best)) => beliefs[best.id.0 as usize - 1],
+        (_, None) => 0.0,
+    };
+    let mut rivals: Vec<&Instance> = match status {
+        Status::NoMatch => Vec::new(),
+        _ => scene.instances.iter().filter(|i| chosen.is_none_or(|c| c.id != i.id)).collect(),
+    };
+    let belief = |i: &Instance| beliefs[i.id.0 as usize - 1];
+    rivals.retain(|i| belief(i) >= MIN_ALTERNATIVE);
+    rivals.sort_by(|a, b| belief(b).total_cmp(&belief(a)).then(a.id.cmp(&b.id)));
+    Grounding {
+        query: question.query.clone(),
+        status,
+        answer: SixFields {
+            predicted_id: chosen.map(|i| i.id),
+            explanation,
+            candidate_names: candidates.iter().map(|c| (c.id.0, described(&scene.instances[c.id.0 as usize - 1]))).collect(),
+            target_name_matches: chosen.and(target_name_matches),
+            anchor_id: anchor,
+            relation_used,
+        },
+        aabb: chosen.map(|i| i.aabb),
+        oriented_box: chosen.map(|i| i.oriented_box),
+        confidence,
+        candidates,
+        alternatives: rivals
+            .iter()
+            .take(MAX_ALTERNATIVES)
+            .map(|i| Alternative { id: i.id, confidence: belief(i), aabb: i.aabb })
+            .collect(),
+        parsed_query: summarise(parsed),
+        direction_convention: if question.observer.is_some() { "observer".into() } else { question.convention.name().into() },
+        timings_ms,
+    }
+}
+
+/// "red sofa": dominant colour and best name, whatever the question says.
+pub(super) fn described(instance: &Instance) -> String {
+    match instance.colours.dominant().first() {
+        Some((colour, _)) => format!("{} {}", colour.word(), instance.label()),
+        None => instance.label().to_owned(),
+    }
+}
+
+fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
+    let target = &parsed.target;
+    let traits = target.traits.iter().map(|s| s.word().to_owned());
+    let colours = target.colours.iter().map(|c| c.word().to_owned());
+    let other_than = target.other_than.iter().map(|c| format!("not {}", c.word()));
+    let with = target.with.iter().map(|w| {
+        let count = w.phrase.count.map_or_else(String::new, |n| format!("{n} "));
+        format!("{} {count}{}", if w.absent { "without" } else { "with" }, w.phrase.text())
+    });
+    let uses = target.uses.iter().map(|spoken| format!("to {spoken}"));
+    let superlative = target.superlative.map(|s| superlative_words(&s));
+    let mut summary = ParsedQuerySummary {
+        target: if target.meaning() == Meaning::Anything && target.head.is_empty() { "thing".into() } else { target.head.clone() },
+        attributes: traits.chain(colours).chain(other_than).chain(with).chain(uses).chain(superlative).collect(),
+        anchors: Vec::new(),
+        relations: Vec::new(),
+        not_understood: parsed.not_understood.clone(),
+    };
+    collect_anchors(target, &mut summary);
+    summary.anchors.extend(parsed.viewpoint.iter().map(|v| v.anchor.text()));
+    summary
+}
+
+/// Adds the relations and anchors of a phrase, then those of the phrases within it.
+fn collect_anchors(phrase: &Phrase, summary: &mut ParsedQuerySummary) {
+    for relation in &phrase.relations {
+        summary
+            .relations
+            .push(if relation.negated { format!("not {}", relation.text) } else { relation.text.clone() });
+        summary.anchors.extend(relation.anchors.iter().map(Phrase::text));
+    }
+    let within = phrase.relations.iter().flat_map(|r| &r.anchors).chain(phrase.with.iter().map(|w| &w.phrase));
+    within.for_each(|inner| collect_anchors(inner, summary));
+}
+
+/// "tallest", "leftmost, number 2"
+pub(super) fn superlative_words(superlative: &Superlative) -> String {
+    match superlative.rank {
+        0 | 1 => superlative.measure.word().to_owned(),
+        rank => format!("{}, number {rank}", superlative.measure.word()),
+    }
+}

@@ -1,0 +1,179 @@
+//! How well instances fit what a phrase says of the thing itself: noun x colours x traits. Relations are [`assess`](super::assess)'s.
+
+use super::SceneView;
+use super::query::{Meaning, Phrase, Trait};
+use super::solid::Solid;
+use crate::geometry::colour::lab_of_srgb;
+use crate::models::attributes::{self, Lexicon, Noun, noun_fit};
+use crate::scene::Instance;
+
+/// A broader word ("seat" for a sofa) fits a little less than the thing's own name.
+const BROADER_WORD: f32 = 0.9;
+/// A thing that was given a broader name than the one asked for may be meant.
+const BROADER_NAME: f32 = 0.5;
+/// Another word for the name that was given.
+const SYNONYM: f32 = 0.95;
+/// A thing that serves a use as others do; one that is named after the use has 1.
+const SERVES_ALIKE: f32 = 0.93;
+/// How well "thing" and "one" fit everything.
+const ANYTHING: f32 = 0.8;
+/// A colour that is not there at all leaves this: the scan's light may be odd.
+const WRONG_COLOUR: f32 = 0.02;
+/// An instance may be meant when its fit is at least this share of the best fit.
+pub(super) const PLAUSIBLE: f32 = 0.3;
+/// What is left at the wrong end of a comparison: of the smallest thing when "large" is asked for.
+const OPPOSITE_TRAIT: f32 = 0.3;
+
+/// Fit of every instance to a phrase's noun, `0..=1`, by index.
+#[must_use]
+pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
+    let meaning = phrase.meaning();
+    let by_appearance = |word: &str, index: usize, measured| scene.appearance.and_then(|appearance| appearance.fit(word, index, measured));
+    let fit = |(index, instance): (usize, &Instance)| match &meaning {
+        Meaning::Nouns(_) | Meaning::Unknown if instance.given_name.is_some() => {
+            instance.given_name.as_deref().map_or(0.0, |given| given_name_fit(given, phrase, &meaning))
+        }
+        // A word without measures: only its looks tell.
+        Meaning::Unknown if instance.structure.is_none() => by_appearance(&phrase.head, index, None).unwrap_or(0.0),
+        Meaning::Unknown => 0.0,
+        Meaning::Anything => {
+            if instance.structure.is_none() {
+                ANYTHING
+            } else {
+                0.0
+            }
+        }
+        Meaning::Structure(structure) => f32::from(u8::from(instance.structure == Some(*structure))),
+        Meaning::Nouns(nouns) => {
+            let measured = nouns.iter().map(|noun| noun_fit(noun, instance));
+            let looks = |(noun, measured): (&&Noun, f32)| by_appearance(&noun.name, index, Some(measured));
+            let (mut by_measure, mut by_looks) = (0.0_f32, None::<f32>);
+            for (i, (noun, measured)) in nouns.iter().zip(measured).enumerate() {
+                let breadth = breadth(phrase, noun, i);
+                by_measure = by_measure.max(measured * breadth);
+                by_looks = looks((noun, measured))
+                    .map(|fit| by_looks.map_or(fit * breadth, |best| best.max(fit * breadth)))
+                    .or(by_looks);
+            }
+            // Looks have been weighed against all other names, measures have not.
+            by_looks.unwrap_or_else(|| by_measure * among_names(by_measure, nouns, instance).sqrt())
+        }
+    };
+    scene.instances.iter().enumerate().map(fit).collect()
+}
+
+/// How likely an instance is one of `nouns` rather than what its other names say: a table may have a sofa's size.
+fn among_names(fit: f32, nouns: &[&Noun], instance: &Instance) -> f32 {
+    let (mut own, mut others) = (0.0, 0.0);
+    for guess in &instance.names {
+        if nouns.iter().any(|noun| noun.name == guess.name) { own += guess.score } else { others += guess.score }
+    }
+    let own = fit.max(own);
+    if own > 0.0 { own / (own + others) } else { 0.0 }
+}
+
+/// Weight of the `i`-th meaning of a phrase's noun: 1 for the thing of that name, less for things it is a broader word for. Things
+/// that serve a use weigh the same, except those named after it: tea is poured from a teapot.
+fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
+    let names = || std::iter::once(&noun.name).chain(&noun.synonyms).flat_map(|name| name.split(' '));
+    match phrase.uses.is_empty() {
+        true if i == 0 => 1.0,
+        true => BROADER_WORD,
+        false if names().any(|word| phrase.purpose.iter().any(|said| said == word)) => 1.0,
+        false => SERVES_ALIKE,
+    }
+}
+
+/// How well a name that somebody gave fits the noun asked for: the same thing in other words fits fully, a broader word a little less.
+pub(super) fn given_name_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
+    let last = |words: &str| words.split_whitespace().next_back().map(str::to_owned);
+    match (meaning, Lexicon::get().find(given)) {
+        (Meaning::Nouns(asked), Some(own)) => match asked.iter().position(|noun| noun.name == own.name) {
+            // The very word is meant before its synonyms.
+            Some(i) => {
+                breadth(phrase, own, i)
+                    * if i > 0 || !phrase.uses.is_empty() || given == phrase.head || own.name == phrase.head { 1.0 } else { SYNONYM }
+            }
+            // "table" was given and "side table" is asked for: it may be one.
+            None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => BROADER_NAME,
+            None => 0.0,
+        },
+        _ => f32::from(u8::from(!phrase.head.is_empty() && last(given) == last(&phrase.head))),
+    }
+}
+
+/// Fit of an instance to a phrase's colours, `0..=1`.
+#[must_use]
+pub fn colours_fit(phrase: &Phrase, instance: &Instance) -> f32 {
+    // Two colours share the surface: each needs to be there, neither needs to rule.
+    let n = phrase.colours.len().max(1) as f32;
+    let wanted = phrase
+        .colours
+        .iter()
+        .map(|&c| (attributes::colour_fit(c, instance) * n.sqrt()).clamp(WRONG_COLOUR, 1.0));
+    let unwanted = phrase.other_than.iter().map(|&c| (1.0 - attributes::colour_fit(c, instance)).max(WRONG_COLOUR));
+    wanted.chain(unwanted).product()
+}
+
+/// Fit of every instance to a trait, `0..=1`. "Large" and "dark" compare it with the other things the noun may mean; "round" looks at
+/// its box alone.
+#[must_use]
+pub fn trait_fits(instances: &[Instance], solids: &[Solid], nouns: &[f32], asked: Trait) -> Vec<f32> {
+    let squareness = |solid: &Solid| solid.sides().1 / solid.sides().0.max(1e-3);
+    let lightness = |i: usize| lab_of_srgb(instances[i].mean_rgb).x;
+    let measure = |i: usize| match asked {
+        Trait::Large => solids[i].volume(),
+        Trait::Small => -solids[i].volume(),
+        Trait::Tall => solids[i].size[2],
+        Trait::Low => -solids[i].size[2],
+        Trait::Long => solids[i].sides().0,
+        Trait::Light => lightness(i),
+        Trait::Dark => -lightness(i),
+        Trait::Round | Trait::Square | Trait::Rectangular => 0.0,
+    };
+    match asked {
+        Trait::Round | Trait::Square => {
+            return solids.iter().map(|s| OPPOSITE_TRAIT.max(((squareness(s) - 0.5) / 0.35).min(1.0))).collect();
+        }
+        Trait::Rectangular => return solids.iter().map(|s| OPPOSITE_TRAIT.max(((1.0 - squareness(s)) / 0.25).min(1.0))).collect(),
+        _ => {}
+    }
+    let best = nouns.iter().copied().fold(0.0, f32::max);
+    let mut rivals: Vec<f32> = (0..nouns.len()).filter(|&i| best > 0.0 && nouns[i] >= PLAUSIBLE * best).map(measure).collect();
+    rivals.sort_by(f32::total_cmp);
+    let place = |i: usize| {
+        if rivals.len() < 2 {
+            return 1.0;
+        }
+        let smaller = rivals.partition_point(|r| *r < measure(i)).min(rivals.len() - 1);
+        OPPOSITE_TRAIT + (1.0 - OPPOSITE_TRAIT) * smaller as f32 / (rivals.len() - 1) as f32
+    };
+    (0..nouns.len()).map(place).collect()
+}
+
+/// Indices that may be meant, with their fit: the best `limit` of those above [`PLAUSIBLE`], in order of index.
+pub(super) fn most_plausible(fits: &[f32], limit: usize) -> Vec<(usize, f32)> {
+    let best = fits.iter().copied().fold(0.0, f32::max);
+    let mut plausible: Vec<(usize, f32)> =
+        fits.iter().copied().enumerate().filter(|&(_, fit)| fit > 0.0 && fit >= PLAUSIBLE * best).collect();
+    if plausible.len() > limit {
+        plausible.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+        plausible.truncate(limit);
+        plausible.sort_by_key(|&(i, _)| i);
+    }
+    plausible
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_best_few_are_looked_at() {
+        // The work on a question over thousands of instances is bounded by this.
+        assert_eq!(most_plausible(&[0.5, 0.1, 0.9, 0.0, 0.8], usize::MAX), [(0, 0.5), (2, 0.9), (4, 0.8)]);
+        assert_eq!(most_plausible(&[0.5, 0.1, 0.9, 0.0, 0.8], 2), [(2, 0.9), (4, 0.8)]);
+        assert_eq!(most_plausible(&[0.7; 100], 3), [(0, 0.7), (1, 0.7), (2, 0.7)]);
+        assert_eq!(most_plausible(&[0.0, 0.0], 3), []);
+    }
+}

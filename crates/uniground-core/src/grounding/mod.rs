@@ -1,0 +1,147 @@
+//! Stage 2, Contextual Precision Grounding: instances and a question to six fields and a box (paper, section 3.3; docs/METHOD.md,
+//! sections 2 to 4).
+//!
+//! [`pipeline`] is the whole way from words to an answer. No model is needed: the built-in reasoner scores names, attributes and
+//! relations by geometry, and a vision-language model, where there is one, reviews what it found. The language never changes the geometry.
+
+pub mod album;
+mod answer;
+mod appearance;
+mod assess;
+pub mod direction;
+mod fit;
+mod picture_cache;
+pub mod pipeline;
+pub mod query;
+pub mod reasoner;
+pub mod relations;
+mod scene_source;
+mod shortlist;
+pub mod solid;
+pub mod vlm;
+
+pub use answer::Grounding;
+pub use appearance::{Appearance, ShortlistScoring};
+use assess::Assessor;
+use direction::{DirectionConvention, Directions, Observer};
+pub use picture_cache::PictureCache;
+use std::time::{Duration, Instant};
+pub use uniground_types::answer::{Alternative, Candidate, ParsedQuerySummary, SixFields, Status, Timings};
+pub use uniground_types::question::QueryText;
+
+use crate::geometry::boxes::Aabb;
+use crate::scene::Instance;
+
+/// A parsed scene as stage 2 needs it.
+#[derive(Debug, Clone, Copy)]
+pub struct SceneView<'a> {
+    /// In order of id, which counts from 1.
+    pub instances: &'a [Instance],
+    /// Box of all points, metres, world frame (Z up).
+    pub extent: Aabb,
+    /// How the question's words compare with what the instances look like; `None` where no encoder has seen them.
+    pub appearance: Option<&'a Appearance>,
+}
+
+/// A question.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Question {
+    /// What to find, in plain English.
+    pub query: String,
+    /// How many candidates to keep (paper: 5 for `ScanRefer`, 10 for `EmbodiedScan`).
+    pub top_k: usize,
+    /// What left, right, front and back mean, unless there is an observer or the words tell ("facing the desk").
+    pub convention: DirectionConvention,
+    /// Whose left, right, front and back are meant; overrides `convention`.
+    pub observer: Option<Observer>,
+    /// The target's class, where it is given with the question: only in an evaluation done the paper's way.
+    pub target_name: Option<String>,
+}
+
+impl Question {
+    /// A question with the paper's five candidates and directions.
+    #[must_use]
+    pub fn of(query: impl Into<String>) -> Self {
+        Self { query: query.into(), top_k: 5, convention: DirectionConvention::default(), observer: None, target_name: None }
+    }
+}
+
+/// The `top_k` best candidates for a question, without a look at relations (paper, section 3.2: by the encoder): by appearance where an
+/// encoder has seen the scene and knows the words, by names and attributes otherwise.
+#[must_use]
+pub fn rank_candidates(scene: SceneView, parsed: &query::ParsedQuery, top_k: usize) -> Vec<Candidate> {
+    if let Some(scores) = scene.appearance.and_then(Appearance::shortlist) {
+        return shortlist::rank(scene, scores, top_k);
+    }
+    let assessor = Assessor::new(scene, DirectionConvention::Paper.into());
+    shortlist::rank(scene, &assessor.own_fits(&parsed.target).1, top_k)
+}
+
+/// Answers a question, read by the built-in grammar.
+#[must_use]
+pub fn ground(scene: SceneView, question: &Question) -> Grounding {
+    let start = Instant::now();
+    let parsed = query::parse(&question.query);
+    ground_read(scene, question, parsed, start.elapsed())
+}
+
+/// Answers a question that has been read already; `reading` is how long that took.
+#[must_use]
+pub fn ground_read(scene: SceneView, question: &Question, parsed: query::ParsedQuery, reading: Duration) -> Grounding {
+    decided(scene, question, parsed, reading).1
+}
+
+/// Answers a question, and gathers what a vision-language model is told so that it can decide better. The answer has `top_k` candidates:
+/// those that fit, then things that stand where the question says, whatever they are called.
+#[must_use]
+pub fn ground_with_context(
+    scene: SceneView,
+    question: &Question,
+    parsed: query::ParsedQuery,
+    reading: Duration,
+) -> (Grounding, vlm::PromptContext) {
+    let (decided, mut grounding) = decided(scene, question, parsed, reading);
+    let Decided { assessor, parsed, beliefs } = decided;
+    let placed = assessor
+        .assess(&query::Phrase { head: String::new(), uses: Vec::new(), ..parsed.target.clone() })
+        .total;
+    let known = |id| grounding.candidates.iter().any(|c| c.id == id);
+    let others: Vec<Candidate> = shortlist::rank(scene, &placed, scene.instances.len())
+        .into_iter()
+        .filter(|c| !known(c.id))
+        .collect();
+    let room = question.top_k.saturating_sub(grounding.candidates.len());
+    let first = grounding.candidates.len() as u32 + 1;
+    let others = others.into_iter().take(room).zip(first..).map(|(c, rank)| Candidate { rank, score: 0.0, ..c });
+    grounding.candidates.extend(others);
+    for candidate in &grounding.candidates {
+        let name = || answer::described(&scene.instances[candidate.id.0 as usize - 1]);
+        grounding.answer.candidate_names.entry(candidate.id.0).or_insert_with(name);
+    }
+    let context = vlm::PromptContext::of(&assessor, &parsed, &grounding, &beliefs);
+    (grounding, context)
+}
+
+/// What led to a decision.
+struct Decided<'a> {
+    assessor: Assessor<'a>,
+    parsed: query::ParsedQuery,
+    /// By instance index.
+    beliefs: Vec<f32>,
+}
+
+fn decided<'a>(scene: SceneView<'a>, question: &Question, mut parsed: query::ParsedQuery, reading: Duration) -> (Decided<'a>, Grounding) {
+    let start = Instant::now();
+    if let Some(name) = &question.target_name {
+        parsed.target.head.clone_from(name);
+    }
+    let directions = question.observer.as_ref().map_or_else(|| question.convention.into(), Directions::of_observer);
+    let mut assessor = Assessor::new(scene, directions);
+    let prepared = start.elapsed();
+    let verdict = reasoner::builtin::decide(&mut assessor, &parsed);
+    let total = start.elapsed();
+    let timings_ms = answer::timings(reading, reading + prepared, reading + total);
+    let beliefs = verdict.beliefs.clone();
+    let grounding = answer::assemble(scene, question, &parsed, verdict, timings_ms);
+    (Decided { assessor, parsed, beliefs }, grounding)
+}

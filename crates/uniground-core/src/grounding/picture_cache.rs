@@ -1,0 +1,21 @@
+//! Pictures that stay in memory, so that a question does not wait for the renderer.
+
+use crate::models::chat::Picture;
+use crate::recent::Recent;
+
+/// Pictures drawn before, shared by all questions about all scenes.
+pub struct PictureCache {
+    /// By scene and what is drawn.
+    pub(super) globals: Recent<Picture>,
+    /// By scene and instance.
+    pub(super) collages: Recent<Picture>,
+}
+
+/// Bytes of pictures that stay in memory, of each kind.
+const PICTURE_BYTES: usize = 64 << 20;
+
+impl Default for PictureCache {
+    fn default() -> Self {
+        Self { globals: Recent::new(PICTURE_BYTES), collages: Recent::new(PICTURE_BYTES) }
+    }
+}

@@ -1,0 +1,268 @@
+//! One question, from words to an answer: the only way there, for the service, for evaluation and for a robot's own process.
+//!
+//! ```text
+//! read -> appearance -> decide -> evidence -> review -> answer
+//!         \___ one step of computing ___/   \_ where a vision-language model reviews _/
+//! ```
+//! The pipeline is a future that its caller drives; it needs no runtime of its own. Where a scene's pictures, embeddings and names come
+//! from, and on which threads computing happens, is the business of a [`SceneSource`].
+
+use super::appearance::{Appearance, ShortlistScoring};
+use super::query::{BuiltinParser, ParsedQuery, QueryParser, parse};
+use super::reasoner::builtin;
+pub use super::scene_source::{QuestionError, SceneSource};
+use super::vlm::{self, Conversation, Decision, MAX_CALLS, Options, Outcome, PictureSettings, Undecided, naming};
+use super::{Candidate, Grounding, Question, SceneView, decided, ground_with_context, rank_candidates};
+use crate::models::attributes;
+use crate::models::chat::{Budget, CallRecord, ChatModel, Session};
+use crate::models::neural::DualEncoder;
+use crate::scene::Embeddings;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// What happens when a chat model can not be used.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WithoutModel {
+    /// Grammar and geometry do its part; the answer says so.
+    BuiltIn,
+    /// There is no answer.
+    Fail,
+}
+
+/// A question, and who takes part in answering it.
+pub struct Ask {
+    /// The words, and how they are to be taken.
+    pub question: Question,
+    /// Who reads the question.
+    pub parser: Arc<dyn QueryParser>,
+    /// What happens when `parser` can not use its model.
+    pub without_parser: WithoutModel,
+    /// Where the encoder fails, or is not the one that has seen the scene, names and measures answer; the answer says so.
+    pub allow_builtin_encoder: bool,
+    /// A vision-language model that reviews what geometry has found.
+    pub review: Option<Review>,
+}
+
+impl Ask {
+    /// A question for grammar, geometry and what the encoder has seen, without a chat model.
+    #[must_use]
+    pub fn of(question: Question) -> Self {
+        let (parser, without_parser) = (Arc::new(BuiltinParser), WithoutModel::BuiltIn);
+        Self { question, parser, without_parser, allow_builtin_encoder: false, review: None }
+    }
+}
+
+/// A vision-language model and how it is asked.
+pub struct Review {
+    /// The model that is shown the candidates.
+    pub model: Arc<dyn ChatModel>,
+    /// What pays for its calls: every call is charged to each of these.
+    pub budgets: Vec<Budget>,
+    /// How the prompt is built: ablation, pictures, format.
+    pub options: Options,
+    /// What happens when the model can not be asked.
+    pub without_model: WithoutModel,
+}
+
+/// What came of a question, and how.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Answered {
+    /// Six fields, boxes, status and candidates.
+    pub grounding: Grounding,
+    /// What was understood of the question.
+    pub parsed: ParsedQuery,
+    /// Name and version of who read the question.
+    pub parser: String,
+    /// Name and version of what compared pictures and words: an encoder, or the built-in attributes.
+    pub encoder: String,
+    /// Name and version of who decided: the built-in reasoner, or the model with its prompt.
+    pub reasoner: String,
+    /// A built-in part took the place of a model that could not be used, or that never chose a candidate; `corrections` says why.
+    pub degraded: bool,
+    /// What went wrong on the way, in order.
+    pub corrections: Vec<String>,
+    /// Every call of a model, in order: at most [`MAX_CALLS`].
+    pub calls: Vec<CallRecord>,
+}
+
+/// Answers a question.
+///
+/// # Errors
+/// Those of the source; [`QuestionError`] where a model was demanded that can not be used.
+pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answered, S::Error> {
+    let Ask { question, parser, without_parser, allow_builtin_encoder, review } = ask;
+    let start = Instant::now();
+    let reading = parser.read(&question.query).await;
+    let (mut parser_name, mut corrections) = (parser.name(), Vec::new());
+    if let Some(why) = reading.fell_back {
+        // A model that said something nobody can use was asked all the same.
+        let was_asked = reading.calls.iter().any(|call| call.outcome.is_ok());
+        if without_parser == WithoutModel::Fail && !was_asked {
+            return Err(QuestionError::Unread(why).into());
+        }
+        parser_name = BuiltinParser.name();
+        corrections.push(format!("the built-in parser read the question: {why}"));
+    }
+    let (mut calls, parsed, took) = (reading.calls, reading.parsed, start.elapsed());
+
+    let (with_review, encoder) = (review.is_some(), (allow_builtin_encoder, ShortlistScoring::default()));
+    let decide = (question, parsed.clone());
+    let (grounding, context, used) = source
+        .compute(move |source| {
+            let (question, parsed) = decide;
+            let (appearance, used) = appearance(source, &question.query, &parsed, encoder)?;
+            let scene = SceneView { instances: source.instances(), extent: source.extent(), appearance: appearance.as_ref() };
+            if !with_review {
+                return Ok((decided(scene, &question, parsed, took).1, None, used));
+            }
+            let (grounding, context) = ground_with_context(scene, &question, parsed, took);
+            Ok((grounding, Some(context), used))
+        })
+        .await?;
+    if let Some(why) = used.missing {
+        corrections.push(format!("names and measures answered, not the encoder: {why}"));
+    }
+    let mut answered = Answered {
+        grounding,
+        parsed,
+        parser: parser_name,
+        encoder: used.name,
+        reasoner: builtin::NAME.into(),
+        degraded: !corrections.is_empty(),
+        corrections,
+        calls: Vec::new(),
+    };
+    if let Some((review, context)) = review.zip(context).filter(|(_, context)| !context.candidates.is_empty()) {
+        reviewed(source, &mut answered, review, context, &mut calls, start).await?;
+    }
+    answered.calls = calls;
+    Ok(answered)
+}
+
+/// Shows the model what geometry has found, hears it out, and makes what it says the answer.
+async fn reviewed<S: SceneSource>(
+    source: &Arc<S>,
+    answered: &mut Answered,
+    Review { model, budgets, options, without_model }: Review,
+    context: vlm::PromptContext,
+    calls: &mut Vec<CallRecord>,
+    start: Instant,
+) -> Result<(), S::Error> {
+    let before = start.elapsed();
+    let mut names = if options.uses_names() { source.names().await? } else { BTreeMap::new() };
+    names.retain(|id, _| context.is_candidate(*id));
+    let known = names.clone();
+    let (context, evidence, unnamed) = source
+        .compute(move |source| {
+            let evidence = vlm::collect(source, &context, &PictureSettings::of(options.evidence))?;
+            let mut unnamed = context.unnamed(&known, options.evidence);
+            unnamed.truncate(naming::PER_SHEET);
+            let unnamed = naming::sheet_of(source, 1, &unnamed)?;
+            Ok((context, evidence, unnamed))
+        })
+        .await?;
+    let evidence_took = start.elapsed().saturating_sub(before);
+    let conversation = Conversation { context: &context, evidence: &evidence, options, names, unnamed };
+    let mut session = Session::new(model.as_ref(), budgets, MAX_CALLS.saturating_sub(calls.len() as u32));
+    let decision = vlm::decide(&conversation, &mut session).await;
+    let (Ok(Decision { new_names, .. }) | Err(Undecided { new_names, .. })) = &decision;
+    if !new_names.is_empty() {
+        source.keep_names(new_names).await?;
+    }
+    calls.extend(session.into_records());
+    match decision {
+        Ok(decision) => {
+            decision.apply(&mut answered.grounding, &context, source.instances());
+            // The geometry had to choose, because the model did not.
+            answered.degraded |= matches!(decision.outcome, Outcome::Projected(_) | Outcome::Unknown);
+            if decision.outcome != Outcome::Unknown {
+                answered.reasoner = vlm::reasoner_name(model.name());
+            }
+            answered.corrections.extend(decision.corrections);
+        }
+        Err(undecided) if without_model == WithoutModel::Fail => return Err(QuestionError::Review(undecided.error).into()),
+        Err(undecided) => {
+            answered.degraded = true;
+            answered.corrections.push(format!("the built-in reasoner answered: {undecided}"));
+        }
+    }
+    let ms = |took: Duration| took.as_secs_f64() * 1e3;
+    let (total, timings) = (start.elapsed(), &mut answered.grounding.timings_ms);
+    timings.evidence = ms(evidence_took);
+    timings.reason += ms(total.saturating_sub(before).saturating_sub(evidence_took));
+    timings.total = ms(total);
+    Ok(())
+}
+
+/// Who compared pictures and words.
+struct UsedEncoder {
+    name: String,
+    /// Why it is not the encoder that has seen the scene; `None` when it is, or none has.
+    missing: Option<String>,
+}
+
+/// The question's words beside what the instances look like; nothing where no encoder has seen them.
+fn appearance<S: SceneSource>(
+    source: &S,
+    query: &str,
+    parsed: &ParsedQuery,
+    (allow_builtin, scoring): (bool, ShortlistScoring),
+) -> Result<(Option<Appearance>, UsedEncoder), S::Error> {
+    let seen = source.embeddings().and_then(|seen| {
+        let looks = |(encoder, embeddings): (&DualEncoder, &Embeddings)| Appearance::of(query, parsed, encoder, embeddings, scoring);
+        seen.map(looks).transpose().map_err(|error| QuestionError::Encoder(error).into())
+    });
+    match seen {
+        Err(error) if allow_builtin => Ok((None, UsedEncoder { name: attributes::NAME.into(), missing: Some(error.to_string()) })),
+        seen => Ok((seen?, UsedEncoder { name: source.encoder_name(), missing: None })),
+    }
+}
+
+/// The candidates for a query, without reasoning over relations.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Shortlist {
+    /// Best first; instances that do not fit at all are left out.
+    pub candidates: Vec<Candidate>,
+    /// Name and version of what compared them.
+    pub encoder: String,
+    /// The sentence is longer than the encoder reads: its end does not count.
+    pub cut: bool,
+}
+
+/// The `top_k` best candidates for a query (paper: by the encoder), read by the built-in grammar.
+///
+/// # Errors
+/// Those of the source; [`QuestionError::Encoder`].
+pub async fn shortlist<S: SceneSource>(
+    source: &Arc<S>,
+    query: String,
+    scoring: ShortlistScoring,
+    allow_builtin_encoder: bool,
+    top_k: usize,
+) -> Result<Shortlist, S::Error> {
+    let parsed = parse(&query);
+    source
+        .compute(move |source| shortlist_of(source, &query, &parsed, (allow_builtin_encoder, scoring), top_k))
+        .await
+}
+
+/// The `top_k` best candidates for a query that has been read already; computed on the calling thread.
+///
+/// # Errors
+/// As [`shortlist`].
+pub fn shortlist_of<S: SceneSource>(
+    source: &S,
+    query: &str,
+    parsed: &ParsedQuery,
+    encoder: (bool, ShortlistScoring),
+    top_k: usize,
+) -> Result<Shortlist, S::Error> {
+    let (appearance, used) = appearance(source, query, parsed, encoder)?;
+    let scene = SceneView { instances: source.instances(), extent: source.extent(), appearance: appearance.as_ref() };
+    let cut = appearance.as_ref().is_some_and(|appearance| appearance.cut);
+    Ok(Shortlist { candidates: rank_candidates(scene, parsed, top_k), encoder: used.name, cut })
+}
+
+#[cfg(test)]
+mod tests;

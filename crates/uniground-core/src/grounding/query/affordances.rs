@@ -1,0 +1,234 @@
+//! Things named by what they are for: "something to sit on", "what you would grab to put out a fire".
+//!
+//! The uses are those of the lexicon; `uses.tsv` has the other words people say for them.
+
+use super::tokens::{BREAK, stem};
+use super::words::{self, Meaning};
+use crate::models::attributes::Lexicon;
+use std::collections::{BTreeSet, HashMap};
+use std::sync::LazyLock;
+
+/// An opening clause that says what the target is for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Affordance {
+    /// The uses of the lexicon that fit the words best; several where they fit equally well.
+    pub uses: Vec<String>,
+    /// The clause's words: "pour wine from" is said of wine bottles before teapots.
+    pub words: Vec<String>,
+    /// How many tokens say so; the rest of the query follows.
+    pub taken: usize,
+}
+
+/// How such a clause begins.
+const OPENERS: &[&str] = &[
+    "something",
+    "anything",
+    "somewhere",
+    "someplace",
+    "a place",
+    "some place",
+    "a spot",
+    "a thing",
+    "an object",
+    "the object",
+    "the thing",
+    "an item",
+    "the item",
+    "the place",
+    "a device",
+    "the device",
+    "things",
+    "what you",
+    "what would",
+    "what can",
+    "what could",
+    "what do",
+    "what one",
+    "what to",
+    "what i",
+    "what people",
+    "what someone",
+    "what somebody",
+    "what should",
+    "what will",
+    "what",
+    "where can",
+    "where do",
+    "where could",
+    "where to",
+    "where you",
+    "where would",
+    "where i",
+    "where should",
+    "where people",
+    "i want to",
+    "i need to",
+    "i would like to",
+    "i'd like to",
+    "i have to",
+    "i wish to",
+    "how can i",
+    "how do i",
+];
+
+/// Words that end the clause and begin the circumstances.
+const CIRCUMSTANCES: [&str; 3] = ["while", "when", "whilst"];
+
+/// Small words: they decide between uses ("write on", "write with") but are no use by themselves.
+const PARTICLES: [&str; 16] = ["on", "in", "at", "by", "from", "with", "to", "for", "into", "out", "away", "up", "off", "the", "a", "of"];
+
+/// One way to say a use: the stems that must be there, and the particles that speak for it.
+struct Wording {
+    needed: Vec<String>,
+    particles: Vec<String>,
+}
+
+static WORDINGS: LazyLock<HashMap<&'static str, Vec<Wording>>> = LazyLock::new(|| {
+    let mut wordings: HashMap<&'static str, Vec<Wording>> = HashMap::new();
+    for noun in Lexicon::get().nouns() {
+        for spoken in &noun.uses {
+            wordings.entry(spoken).or_insert_with(|| vec![Wording::of(spoken)]);
+        }
+    }
+    for line in include_str!("uses.tsv").lines().filter(|line| !line.starts_with('#')) {
+        if let Some((spoken, others)) = line.split_once('\t')
+            && let Some(known) = wordings.get_mut(spoken)
+        {
+            known.extend(others.split(',').map(|other| Wording::of(other.trim())));
+        }
+    }
+    wordings
+});
+
+impl Wording {
+    fn of(text: &str) -> Self {
+        let (particles, needed): (Vec<&str>, Vec<&str>) = text.split(' ').partition(|word| PARTICLES.contains(word));
+        Self { needed: needed.into_iter().map(stem).collect(), particles: particles.into_iter().map(str::to_owned).collect() }
+    }
+
+    /// How well the words say it: 2 for each needed word, 1 for each particle that is said; `None` when a needed word is missing.
+    fn fit(&self, words: &BTreeSet<&str>, stems: &BTreeSet<String>) -> Option<usize> {
+        let said = !self.needed.is_empty() && self.needed.iter().all(|stem| stems.contains(stem));
+        said.then(|| 2 * self.needed.len() + self.particles.iter().filter(|p| words.contains(p.as_str())).count())
+    }
+}
+
+/// Finds the clause at the start of a query.
+pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
+    let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
+    let mut start = 0;
+    let opener = loop {
+        let rest = &words[start.min(words.len())..];
+        if let Some(length) = OPENERS.iter().filter_map(|opener| begins(rest, opener)).max() {
+            if !names_a_purpose(rest, length) {
+                return None;
+            }
+            break length;
+        }
+        // "please bring me", "find": before the opener only words without content may stand.
+        match words::longest(rest) {
+            Some((Meaning::Filler | Meaning::Determiner, length)) => start += length,
+            _ if start > 0 && rest.first() == Some(&BREAK) => start += 1,
+            _ => return None,
+        }
+    };
+    let begin = start + opener;
+    let end = (begin..words.len()).find(|&i| ends_clause(&words, i)).unwrap_or(words.len());
+    let clause: BTreeSet<&str> = words[begin..end].iter().copied().collect();
+    let stems: BTreeSet<String> = clause.iter().map(|word| stem(word)).collect();
+    let mut found: Vec<(usize, &str)> = WORDINGS
+        .iter()
+        .filter_map(|(spoken, wordings)| Some((wordings.iter().filter_map(|w| w.fit(&clause, &stems)).max()?, *spoken)))
+        .collect();
+    found.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
+    let best = found.first()?.0;
+    let uses = found.into_iter().take_while(|(fit, _)| *fit == best).map(|(_, spoken)| spoken.to_owned()).collect();
+    let words = clause.iter().filter(|word| !PARTICLES.contains(word)).map(|word| (*word).to_owned()).collect();
+    Some(Affordance { uses, words, taken: end })
+}
+
+/// Whether a thing is followed by what it is for, soon: "something soft to sit on", not "the thing on the table".
+fn names_a_purpose(words: &[&str], opener: usize) -> bool {
+    const SOON: usize = 3;
+    let is_thing = matches!(words[opener - 1], "something" | "anything" | "thing" | "things" | "object" | "item" | "device");
+    let purpose = |word: &&str| matches!(*word, "to" | "that" | "which" | "for" | "i" | "you" | "we" | "used" | "with");
+    !is_thing || words[opener..].iter().take(SOON).any(purpose)
+}
+
+fn begins(words: &[&str], opener: &str) -> Option<usize> {
+    let wanted: Vec<&str> = opener.split(' ').collect();
+    words.starts_with(&wanted).then_some(wanted.len())
+}
+
+/// Whether the clause ends before word `i`: a pause, circumstances, or a relation to some thing.
+fn ends_clause(words: &[&str], i: usize) -> bool {
+    // "something to sit on that is blue": what follows describes the thing.
+    let describes = matches!(words[i..], ["that" | "which", "is" | "are", ..]);
+    if words[i] == BREAK || CIRCUMSTANCES.contains(&words[i]) || describes {
+        return true;
+    }
+    let Some((meaning, length)) = words::longest(&words[i..]) else { return false };
+    if !matches!(meaning, Meaning::Relation(_) | Meaning::With { .. } | Meaning::Superlative(_) | Meaning::View(_)) {
+        return false;
+    }
+    // "sit on", "read by": a particle of the verb unless a thing follows.
+    let next = words.get(i + length).copied().unwrap_or(BREAK);
+    match words::longest(&words[(i + length).min(words.len())..]) {
+        _ if meaning == Meaning::Relation(super::RelationKind::InCorner) => true,
+        Some((
+            Meaning::Determiner | Meaning::Number(_) | Meaning::Colour(_) | Meaning::Trait(_) | Meaning::Same | Meaning::Ordinal(_),
+            _,
+        )) => true,
+        _ => next != BREAK && Lexicon::get().knows(next),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::grounding::query::tokens::tokens;
+
+    #[test]
+    fn purposes_are_found_and_the_rest_is_left() {
+        for (query, spoken, rest) in [
+            ("something to sit on while working on the laptop", "sit on", "while working on the laptop"),
+            ("bring me something to write with", "write with", ""),
+            ("somewhere to throw away scrap paper while working at the desk", "throw away", "while working at the desk"),
+            ("where can i wash my hands?", "wash hands", ","),
+            ("something that tells me the time", "tell time", ""),
+            ("something to read by next to the sofa", "read by", "next to the sofa"),
+            ("i want to lie down", "lie on", ""),
+            ("something to sit on that is blue", "sit on", "that is blue"),
+            ("could you find this for me: something to sit on", "sit on", ""),
+        ] {
+            let tokens = tokens(query);
+            let found = find(&tokens).unwrap_or_else(|| panic!("{query}"));
+            assert_eq!((found.uses.join("|").as_str(), tokens[found.taken..].join(" ").as_str()), (spoken, rest), "{query}");
+        }
+    }
+
+    #[test]
+    fn every_line_of_the_table_is_a_use_of_the_lexicon() {
+        let known: BTreeSet<&str> = Lexicon::get().nouns().iter().flat_map(|noun| noun.uses.iter().map(String::as_str)).collect();
+        for line in include_str!("uses.tsv").lines().filter(|line| !line.starts_with('#')) {
+            let (spoken, others) = line.split_once('\t').unwrap_or_else(|| panic!("{line}"));
+            assert!(known.contains(spoken), "{spoken} is no use of the lexicon");
+            assert!(others.split(',').all(|other| !Wording::of(other.trim()).needed.is_empty()), "{line}");
+        }
+    }
+
+    #[test]
+    fn names_are_no_purposes() {
+        for query in [
+            "the chair",
+            "find the table to the left",
+            "something red",
+            "what is on the table",
+            "where is the backpack?",
+            "the thing in the middle of the dining table",
+            "",
+        ] {
+            assert_eq!(find(&tokens(query)), None, "{query}");
+        }
+    }
+}

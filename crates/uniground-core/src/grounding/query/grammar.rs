@@ -1,0 +1,446 @@
+//! Words to phrases: a left-to-right reading with a stack of open phrases, the innermost on top.
+
+mod closing;
+
+use super::affordances::{self, Affordance};
+use super::pieces::{Piece, address, is_bare_noun, is_filler, pieces, structural};
+use super::tokens::tokens;
+use super::words::{self, Meaning};
+use super::{Look, Measure, ParsedQuery, Phrase, Relation, RelationKind, Superlative};
+
+/// What a relation belongs to when it follows a thing that is not the target.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Attach {
+    /// The last thing named: "the cup on the table by the door" - the table is by the door.
+    Nearest,
+    /// The target: the cup is by the door.
+    Target,
+}
+
+/// What an open phrase is there for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Role {
+    Target,
+    /// Said once more, after the target is known: "the chair is ...", "there is a lamp on it".
+    More,
+    /// Of the last relation of the phrase below. `joined` by "and".
+    Anchor {
+        joined: bool,
+    },
+    With {
+        absent: bool,
+    },
+    View(Look),
+    /// One too many: heard, but not used.
+    Surplus,
+}
+
+/// More relations than this in one question are not used: nobody means them, and each costs work.
+const MAX_RELATIONS: u32 = 24;
+
+#[derive(Debug, Clone, PartialEq)]
+struct Frame {
+    phrase: Phrase,
+    role: Role,
+    /// Words since the last noun that nothing explains.
+    unknown: Vec<String>,
+    /// An article after the noun: what follows is another thing, in no relation that was understood.
+    another: bool,
+}
+
+/// Reads a query. Never fails: what is not understood is listed.
+#[must_use]
+pub fn parse(query: &str) -> ParsedQuery {
+    let tokens = tokens(query);
+    let tokens = &tokens[address(&tokens)..];
+    let affordance = affordances::find(tokens);
+    let start = affordance.as_ref().map_or(0, |found| found.taken);
+    let pieces = pieces(&tokens[start..]);
+    let read = |attach: Attach| Reader::new(attach, affordance.as_ref()).run(&pieces);
+    let mut nearest = read(Attach::Nearest);
+    let target = read(Attach::Target);
+    nearest.other_reading = (target.target != nearest.target).then_some(target.target);
+    nearest
+}
+
+// Each is a word that was heard and waits for the one it speaks of.
+#[allow(clippy::struct_excessive_bools)]
+struct Reader {
+    attach: Attach,
+    query: ParsedQuery,
+    /// The target, or what adds to it, lies at the bottom. Empty between clauses.
+    stack: Vec<Frame>,
+    target: Option<Phrase>,
+    relations: u32,
+    negated: bool,
+    /// Whether the last colour was one it must not have: "not red or white".
+    last_negated: bool,
+    /// Nouns the target must not be.
+    other_things: Vec<String>,
+    ordinal: Option<u32>,
+    number: Option<u32>,
+    /// "of" stands between two nouns.
+    of: bool,
+    same: bool,
+    /// "the closest chair to": what the noun is compared by stands in front of it.
+    compared: Option<(RelationKind, u32, String)>,
+    /// Relations to the place where somebody stands; a later phrase may tell where that is.
+    from_here: Vec<Relation>,
+    /// A new sentence about something else than the target begins.
+    there_is: bool,
+}
+
+impl Reader {
+    fn new(attach: Attach, affordance: Option<&Affordance>) -> Self {
+        let mut reader = Self {
+            attach,
+            query: ParsedQuery::default(),
+            stack: vec![Frame::new(Role::Target)],
+            target: None,
+            relations: 0,
+            negated: false,
+            last_negated: false,
+            other_things: Vec::new(),
+            ordinal: None,
+            number: None,
+            of: false,
+            same: false,
+            compared: None,
+            from_here: Vec::new(),
+            there_is: false,
+        };
+        if let Some(found) = affordance {
+            let phrase = &mut reader.stack[0].phrase;
+            "something".clone_into(&mut phrase.head);
+            phrase.uses.clone_from(&found.uses);
+            phrase.purpose.clone_from(&found.words);
+        }
+        reader
+    }
+
+    fn run(mut self, pieces: &[Piece]) -> ParsedQuery {
+        for (i, piece) in pieces.iter().enumerate() {
+            match piece {
+                Piece::Noun(head) => self.noun(head, &pieces[i + 1..]),
+                Piece::Unknown(word) => self.top().unknown.push(word.clone()),
+                Piece::Break => self.pause(),
+                Piece::Word(meaning, text) => self.word(*meaning, text, &pieces[i + 1..]),
+            }
+        }
+        self.pause();
+        if let Some(rank) = self.ordinal.take() {
+            self.query.not_understood.push(format!("number {rank}"));
+        }
+        self.finish()
+    }
+
+    fn top(&mut self) -> &mut Frame {
+        if self.stack.is_empty() {
+            let role = if self.target.is_some() { Role::More } else { Role::Target };
+            self.stack.push(Frame::new(role));
+        }
+        let last = self.stack.len() - 1;
+        &mut self.stack[last]
+    }
+
+    fn noun(&mut self, head: &str, rest: &[Piece]) {
+        let (of, number) = (std::mem::take(&mut self.of), self.number.take());
+        // "not the chair by the door" speaks of the relation, "not the armchair" of the noun.
+        let relation_follows = rest.iter().find(|piece| !is_filler(piece)).is_some_and(|piece| {
+            matches!(
+                piece,
+                Piece::Word(Meaning::Relation(_) | Meaning::Colour(_) | Meaning::With { .. } | Meaning::Superlative(_), _)
+            )
+        });
+        if self.negated && !relation_follows && !words::is_anything(head) {
+            self.negated = false;
+            self.other_things.push(head.to_owned());
+            return;
+        }
+        let frame = self.top();
+        frame.phrase.count = number.or(frame.phrase.count);
+        let before = frame.phrase.head.clone();
+        if before.is_empty() || words::is_anything(&before) && !head.is_empty() && frame.phrase.uses.is_empty() {
+            // "filing cabinets ... the one": a pronoun never takes a noun's place, a noun takes a pronoun's.
+            head.clone_into(&mut frame.phrase.head);
+        } else if of && !words::is_measure(&before) && !words::is_part(&before) {
+            // "the bowl of apples" is a bowl.
+            frame.phrase.unchecked.push(head.to_owned());
+        } else if frame.another {
+            frame.unknown.push(head.to_owned());
+            frame.another = false;
+            self.query
+                .not_understood
+                .append(&mut self.stack.last_mut().map(|f| std::mem::take(&mut f.unknown)).unwrap_or_default());
+            return;
+        } else if !words::is_anything(head) {
+            // "computer desk": in English the last noun is the head.
+            frame.phrase.unchecked.push(before);
+            head.clone_into(&mut frame.phrase.head);
+        }
+        let unknown = std::mem::take(&mut frame.unknown);
+        frame.phrase.unchecked.extend(unknown);
+    }
+
+    fn word(&mut self, meaning: Meaning, text: &str, rest: &[Piece]) {
+        match meaning {
+            Meaning::Relation(kind)
+                if kind.is_comparison() && (is_bare_noun(rest) || matches!(rest.first(), Some(Piece::Word(Meaning::Of, _)))) =>
+            {
+                let rank = self.ordinal.take().unwrap_or(1);
+                self.compared = Some((kind, rank, text.to_owned()));
+            }
+            Meaning::Relation(kind) => self.relation(kind, text),
+            Meaning::With { absent } => {
+                let absent = absent || std::mem::take(&mut self.negated);
+                if self
+                    .stack
+                    .last()
+                    .is_some_and(|f| matches!(f.role, Role::Anchor { .. } | Role::With { .. }) && f.is_empty())
+                {
+                    self.pop();
+                }
+                self.number = None;
+                self.push(Role::With { absent });
+            }
+            Meaning::View(look) => self.view(look, text),
+            Meaning::Entering => {
+                let anchor = Phrase { head: "door".into(), ..Phrase::default() };
+                self.looked(Look::From, anchor);
+            }
+            Meaning::Superlative(measure) => self.superlative(measure, text, rest),
+            Meaning::FromSide(measure) => {
+                let rank = self.ordinal.take().unwrap_or(1);
+                self.bottom().superlative = Some(Superlative { measure, rank });
+            }
+            Meaning::Ordinal(rank) => self.ordinal = Some(rank),
+            Meaning::Number(count) => self.number = Some(count),
+            Meaning::Or => self.negated = self.last_negated,
+            Meaning::Bare => {
+                self.push(Role::With { absent: true });
+                "thing".clone_into(&mut self.top().phrase.head);
+                self.pop();
+            }
+            Meaning::Side(measure) => {
+                let kind = if measure == Measure::Leftmost { RelationKind::LeftOf } else { RelationKind::RightOf };
+                self.relation(kind, text);
+                self.pronoun();
+            }
+            Meaning::Colour(colour) => {
+                let negated = std::mem::take(&mut self.negated);
+                self.last_negated = negated;
+                let phrase = &mut self.top().phrase;
+                if negated { phrase.other_than.push(colour) } else { phrase.colours.push(colour) }
+            }
+            Meaning::Trait(seen) => self.top().phrase.traits.push(seen),
+            Meaning::Not => self.negated = true,
+            Meaning::And => self.and(),
+            // "the closest of the chairs" asks for a chair.
+            Meaning::Of => self.of = self.compared.is_none(),
+            Meaning::Same => self.same = true,
+            Meaning::As => {
+                if std::mem::take(&mut self.same) {
+                    self.push(Role::With { absent: false });
+                }
+            }
+            Meaning::OfTarget => self.unwind(0),
+            Meaning::Filler if matches!(text, "to" | "from") && self.compared.is_some() => {
+                if let Some((kind, rank, words)) = self.compared.take() {
+                    self.ordinal = Some(rank);
+                    self.relation(kind, &format!("{words} {text}"));
+                }
+            }
+            // "when you look at the tv from the sofa"
+            Meaning::Filler if text == "from" && self.stack.last().is_some_and(|f| matches!(f.role, Role::View(Look::Facing))) => {
+                let keep = usize::from(self.stack.first().is_some_and(|f| !matches!(f.role, Role::View(_)) && !f.phrase.is_empty()));
+                self.unwind(keep);
+                self.push(Role::View(Look::From));
+            }
+            // "fetch the cup from the shelf"
+            Meaning::Filler
+                if text == "from" && self.stack.last().is_some_and(|f| !f.phrase.head.is_empty() && f.phrase.uses.is_empty()) =>
+            {
+                self.relation(RelationKind::Near, text);
+            }
+            Meaning::Determiner => {
+                let of = self.of;
+                let frame = self.top();
+                frame.another = !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
+            }
+            Meaning::OfLast | Meaning::Filler => {}
+            Meaning::ThereIs => {
+                self.unwind(0);
+                self.there_is = self.target.is_some();
+            }
+            Meaning::Pronoun => self.pronoun(),
+        }
+    }
+
+    fn relation(&mut self, kind: RelationKind, text: &str) {
+        // "between the sofa and next to the lamp", "on the": an anchor that never came.
+        while self.stack.len() > 1 && self.stack.last().is_some_and(Frame::is_empty) {
+            let joined = self.stack.last().is_some_and(|f| f.role == Role::Anchor { joined: true });
+            self.pop();
+            if joined {
+                self.unwind(1);
+            }
+        }
+        if self.stack.is_empty() {
+            self.top();
+        }
+        // The floor has no place of its own: "on the floor next to the sofa" speaks of the thing.
+        if self
+            .stack
+            .last()
+            .is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && structural(&f.phrase.head))
+        {
+            self.unwind(1);
+        }
+        // Comparisons single out the target; the rest belongs to the last thing, or to the target, by reading.
+        if self.stack.len() > 1 && (self.attach == Attach::Target || kind.is_comparison() || self.stack[0].phrase.is_empty()) {
+            self.unwind(1);
+        }
+        self.relations += 1;
+        if self.relations > MAX_RELATIONS {
+            self.query.not_understood.push(text.to_owned());
+            self.unwind(1);
+            return self.push(Role::Surplus);
+        }
+        let negated = std::mem::take(&mut self.negated);
+        let rank = if kind.is_comparison() { self.ordinal.take().unwrap_or(1) } else { 1 };
+        let relation = Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated, rank };
+        self.top().phrase.relations.push(relation);
+        if !kind.is_of_the_room() {
+            self.push(Role::Anchor { joined: false });
+        }
+    }
+
+    /// "facing the window, the curtain": how somebody looks; after a noun ("the chair facing the window") a relation of that thing.
+    fn view(&mut self, look: Look, text: &str) {
+        // "the chair facing the window", "the chair standing by the door": of the thing, not of somebody.
+        let after_noun = self.stack.last().is_some_and(|f| f.role != Role::View(Look::From) && !f.phrase.head.is_empty());
+        let somebody = ["you", "i ", "when", "while", "seen", "viewed", "perspective", "view", "your", "my", "as "]
+            .iter()
+            .any(|word| text.contains(word));
+        if after_noun && !somebody {
+            let kind = if text == "facing" || text == "facing towards" || text == "facing toward" {
+                RelationKind::Facing
+            } else {
+                RelationKind::Near
+            };
+            return self.relation(kind, text);
+        }
+        let keep = usize::from(self.stack.first().is_some_and(|f| !f.phrase.is_empty()));
+        self.unwind(keep);
+        self.push(Role::View(look));
+    }
+
+    /// "the tallest bookcase", "the one on the left": an extreme; with "of" behind it, the sides become relations.
+    fn superlative(&mut self, measure: Measure, text: &str, rest: &[Piece]) {
+        let followed_by_of = matches!(rest.first(), Some(Piece::Word(Meaning::Of, _)));
+        let side = match measure {
+            Measure::Leftmost => Some(RelationKind::LeftOf),
+            Measure::Rightmost => Some(RelationKind::RightOf),
+            Measure::Frontmost => Some(RelationKind::InFrontOf),
+            Measure::Backmost => Some(RelationKind::Behind),
+            Measure::Highest => Some(RelationKind::On),
+            Measure::Lowest | Measure::Middle => Some(RelationKind::Inside),
+            _ => None,
+        };
+        // "the back of the chair" is the chair.
+        if followed_by_of && text.starts_with("the ") && self.stack.last().is_none_or(Frame::is_empty) {
+            return;
+        }
+        if let Some(kind) = side.filter(|_| followed_by_of) {
+            return self.relation(kind, text);
+        }
+        // "from the door, the first chair on the left": of those to the left, the one met first.
+        if let Some(kind) = side.filter(|k| matches!(k, RelationKind::LeftOf | RelationKind::RightOf))
+            && self.query.standpoint.is_some()
+            && let Some(rank) = self.ordinal.take()
+        {
+            let relation = |kind, rank| Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated: false, rank };
+            self.from_here.extend([relation(kind, 1), relation(RelationKind::Closest, rank)]);
+            return;
+        }
+        let rank = self.ordinal.take().unwrap_or(1);
+        let superlative = Some(Superlative { measure, rank });
+        // "the tallest bookcase" speaks of what follows, "the mug ... on the left" of the target.
+        let of_what_follows = self.stack.last().is_some_and(|f| f.phrase.head.is_empty());
+        if of_what_follows { self.top().phrase.superlative = superlative } else { self.bottom().superlative = superlative }
+    }
+
+    fn and(&mut self) {
+        match self.stack.last() {
+            // "orange and black desk": one thing of two colours.
+            Some(frame) if frame.phrase.head.is_empty() => {}
+            Some(Frame { role: Role::Anchor { .. }, .. }) => {
+                self.pop();
+                self.push(Role::Anchor { joined: true });
+            }
+            Some(Frame { role: Role::With { absent }, .. }) => {
+                let absent = *absent;
+                self.pop();
+                self.push(Role::With { absent });
+            }
+            _ => {}
+        }
+    }
+
+    /// "it" within a relation: what is looked at, or the target of a sentence about something else.
+    fn pronoun(&mut self) {
+        let awaits_anchor = self.stack.last().is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && f.is_empty());
+        if !awaits_anchor {
+            return;
+        }
+        if self.there_is && self.stack.first().is_some_and(|f| f.role == Role::More) {
+            ITSELF.clone_into(&mut self.top().phrase.head);
+        } else if let Some(viewpoint) = self.query.viewpoint.clone() {
+            self.top().phrase = viewpoint.anchor;
+        }
+    }
+
+    /// A comma or full stop. After it a new phrase may begin; further relations are said of the target.
+    fn pause(&mut self) {
+        self.unwind(0);
+        // "the nearest chair": to somebody who stands there, if one does.
+        if let Some((kind, rank, text)) = self.compared.take() {
+            self.from_here.push(Relation { kind, text, anchors: Vec::new(), negated: false, rank });
+        }
+        (self.negated, self.of, self.same, self.number, self.there_is) = (false, false, false, None, false);
+    }
+
+    fn push(&mut self, role: Role) {
+        self.top();
+        self.stack.push(Frame::new(role));
+    }
+
+    /// The phrase at the bottom: the target, or what adds to it.
+    fn bottom(&mut self) -> &mut Phrase {
+        self.top();
+        &mut self.stack[0].phrase
+    }
+
+    /// Closes open phrases until `keep` are left.
+    fn unwind(&mut self, keep: usize) {
+        while self.stack.len() > keep {
+            self.pop();
+        }
+    }
+}
+
+/// Head of an anchor that is the target itself.
+const ITSELF: &str = "it";
+
+impl Frame {
+    fn new(role: Role) -> Self {
+        Self { phrase: Phrase::default(), role, unknown: Vec::new(), another: false }
+    }
+
+    fn is_empty(&self) -> bool {
+        self.phrase.is_empty() && self.unknown.is_empty()
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,93 @@
+//! Text to words, and misspelt words to the words that were meant.
+
+use crate::models::attributes::Lexicon;
+
+/// Stands for a comma or the end of a sentence.
+pub(super) const BREAK: &str = ",";
+
+/// Lower-case words; sentence marks become [`BREAK`].
+pub(super) fn tokens(query: &str) -> Vec<String> {
+    let mut tokens = Vec::new();
+    let mut word = String::new();
+    let end = |word: &mut String, tokens: &mut Vec<String>| {
+        let bare = word.trim_matches('\'').trim_end_matches("'s").to_owned();
+        if !bare.is_empty() {
+            tokens.push(bare);
+        }
+        word.clear();
+    };
+    for c in query.chars().flat_map(char::to_lowercase) {
+        match c {
+            c if c.is_alphanumeric() => word.push(c),
+            '\'' | '\u{2019}' => word.push('\''),
+            '.' | ',' | ';' | ':' | '?' | '!' | '\n' | '(' | ')' => {
+                end(&mut word, &mut tokens);
+                tokens.push(BREAK.into());
+            }
+            _ => end(&mut word, &mut tokens),
+        }
+    }
+    end(&mut word, &mut tokens);
+    tokens
+}
+
+/// Shorter words have too many neighbours to tell a slip from another word.
+const MIN_SLIP_CHARS: usize = 5;
+/// From here on two slips are forgiven.
+const TWO_SLIPS_FROM_CHARS: usize = 8;
+
+/// The noun of the lexicon a misspelt word was meant to be: "refridgerator". `None` when no single one is near.
+pub(super) fn spelling(word: &str) -> Option<&'static str> {
+    let length = word.chars().count();
+    if length < MIN_SLIP_CHARS || !word.is_ascii() {
+        return None;
+    }
+    let allowed = if length >= TWO_SLIPS_FROM_CHARS { 2 } else { 1 };
+    let near = |known: &'static str| {
+        (known.len().abs_diff(word.len()) <= allowed && known.as_bytes()[0] == word.as_bytes()[0])
+            .then(|| (strsim::damerau_levenshtein(word, known), known))
+            .filter(|(distance, _)| *distance <= allowed)
+    };
+    let mut found: Vec<(usize, &str)> = Lexicon::get().words().filter(|w| w.len() >= MIN_SLIP_CHARS - 1).filter_map(near).collect();
+    found.sort_unstable();
+    found.first().map(|(_, known)| *known)
+}
+
+/// "sitting" -> "sit", "tells" -> "tell": enough to compare verbs by.
+pub(super) fn stem(word: &str) -> String {
+    let undoubled = |stem: &str| {
+        let bytes = stem.as_bytes();
+        match bytes {
+            [.., a, b] if a == b && !matches!(b, b'l' | b's' | b'e') => stem[..stem.len() - 1].to_owned(),
+            _ => stem.to_owned(),
+        }
+    };
+    for suffix in ["ing", "ed", "es", "s"] {
+        if let Some(stem) = word.strip_suffix(suffix).filter(|stem| stem.len() >= 3) {
+            return undoubled(stem).trim_end_matches('e').to_owned();
+        }
+    }
+    word.trim_end_matches('e').to_owned()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn slips_are_forgiven_other_words_are_not() {
+        assert_eq!(spelling("refrigeratr"), Some("refrigerator"));
+        assert_eq!(spelling("tabel"), Some("table"));
+        assert_eq!(spelling("bookcse"), Some("bookcase"));
+        for word in ["theremin", "quaternion", "xyz", "hat", "wine"] {
+            assert_eq!(spelling(word), None, "{word}");
+        }
+    }
+
+    #[test]
+    fn forms_of_a_verb_have_one_stem() {
+        for (a, b) in [("sitting", "sit"), ("tells", "tell"), ("writing", "write"), ("throws", "throw"), ("washes", "wash")] {
+            assert_eq!(stem(a), stem(b), "{a}");
+        }
+    }
+}

@@ -1,0 +1,249 @@
+//! The built-in reasoner: deterministic, milliseconds, no model.
+//!
+//! Scores come from [`assess`](crate::grounding::assess); here they become a decision: the best instance, a tie, or nothing.
+
+use super::Verdict;
+use super::explanation::{explain, explain_tie, relation_words, why_nothing_fits};
+use crate::grounding::Status;
+use crate::grounding::assess::{Assessment, Assessor};
+use crate::grounding::direction::Directions;
+use crate::grounding::fit::{colours_fit, most_plausible};
+use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Viewpoint};
+use crate::scene::Instance;
+
+/// Name and version, recorded with answers.
+pub const NAME: &str = "builtin-2";
+
+/// Below this, the best instance does not fit the target phrase.
+const MIN_FIT: f32 = 0.25;
+/// Below this, no likely thing has the colour asked for.
+const MIN_COLOUR: f32 = 0.42;
+/// Below this, the best instance contradicts the relations.
+const MIN_SCORE: f32 = 0.12;
+/// A rival this close in score is as good.
+const TIE: f32 = 0.97;
+/// Weight of a score under the second reading of the words; the first has 1.
+const OTHER_READING: f32 = 0.92;
+/// Power of the scores that share the belief: the higher, the more the best one has.
+const BELIEF_POWER: i32 = 4;
+
+/// Decides for one question.
+#[must_use]
+pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
+    let viewpoint = parsed
+        .viewpoint
+        .as_ref()
+        .and_then(|viewpoint| look(assessor, viewpoint, parsed.standpoint.as_ref()));
+    let assessment = assessor.assess(&parsed.target);
+    let instances = assessor.scene.instances;
+    let best_fit = assessment.own.iter().copied().fold(0.0, f32::max);
+    if best_fit < MIN_FIT {
+        return no_match(assessment.own, why_nothing_fits(parsed));
+    }
+    if !colours_agree(&assessment, &parsed.target, instances) {
+        return no_match(assessment.own, why_nothing_fits(parsed));
+    }
+    let other = parsed.other_reading.as_ref().map(|phrase| assessor.assess(phrase));
+    let mut scores = joint_scores(&assessment, other.as_ref());
+    // "facing the desk, the thing on the left" is not the desk.
+    if let Some(v) = viewpoint.filter(|_| parsed.target.meaning() == Meaning::Anything) {
+        scores[v] = 0.0;
+    }
+    let mut order: Vec<usize> = (0..scores.len()).collect();
+    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+    let best = order[0];
+    if scores[best] < MIN_SCORE {
+        let why = format!("No {} stands in the relations asked for.", parsed.target.text());
+        return no_match(scores, why);
+    }
+    let tied: Vec<usize> = order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
+    let status = if tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
+    // The reading that won is the one to explain.
+    let (phrase, read) = match (&parsed.other_reading, &other) {
+        (Some(phrase), Some(other)) if other.total[best] * OTHER_READING > assessment.total[best] => (phrase, other),
+        _ => (&parsed.target, &assessment),
+    };
+    let explanation = match status {
+        Status::Ambiguous => explain_tie(assessor.scene, &parsed.target, &tied),
+        _ => explain(assessor, phrase, read, best, viewpoint),
+    };
+    Verdict {
+        status,
+        beliefs: beliefs(&scores),
+        scores,
+        explanation,
+        anchor: read.bonds.iter().find_map(|bond| bond[best].anchor).or(viewpoint.map(|v| instances[v].id)),
+        relation_used: relation_words(phrase),
+        target_name_matches: Some(name_matches(&parsed.target, &instances[best])),
+    }
+}
+
+/// Turns the directions to those of somebody who looks as the words say; returns the index of the thing they look by.
+fn look(assessor: &mut Assessor, viewpoint: &Viewpoint, standpoint: Option<&Phrase>) -> Option<usize> {
+    let anchor = assessor.best(&viewpoint.anchor)?;
+    let center = assessor.room().outline.center;
+    // Somebody who stands at a thing and looks at another looks along the line between the two.
+    let stands = standpoint
+        .filter(|_| viewpoint.look == Look::Facing)
+        .and_then(|phrase| assessor.best(phrase))
+        .filter(|s| *s != anchor);
+    assessor.directions = match stands {
+        Some(s) => Directions::looking_along(assessor.solids[anchor].center - assessor.solids[s].center)?,
+        None => Directions::of_look(viewpoint.look, &assessor.solids[anchor], &center)?,
+    };
+    Some(anchor)
+}
+
+/// Whether any of the things that may be meant has the colours asked for; a related colour alone ("orange" for yellow) is not enough.
+fn colours_agree(assessment: &Assessment, target: &Phrase, instances: &[Instance]) -> bool {
+    let likely = most_plausible(&assessment.nouns, usize::MAX);
+    target.colours.is_empty() || likely.iter().any(|&(i, _)| colours_fit(target, &instances[i]) >= MIN_COLOUR)
+}
+
+/// The better of the two readings, instance by instance.
+fn joint_scores(first: &Assessment, other: Option<&Assessment>) -> Vec<f32> {
+    match other {
+        None => first.total.clone(),
+        Some(other) => first.total.iter().zip(&other.total).map(|(a, b)| a.max(OTHER_READING * b)).collect(),
+    }
+}
+
+fn no_match(scores: Vec<f32>, explanation: String) -> Verdict {
+    Verdict {
+        status: Status::NoMatch,
+        beliefs: vec![0.0; scores.len()],
+        scores,
+        explanation,
+        anchor: None,
+        relation_used: None,
+        target_name_matches: None,
+    }
+}
+
+fn beliefs(scores: &[f32]) -> Vec<f32> {
+    let total: f32 = scores.iter().map(|s| s.powi(BELIEF_POWER)).sum();
+    let best = scores.iter().copied().fold(0.0, f32::max);
+    scores
+        .iter()
+        .map(|s| if total > 0.0 { s.powi(BELIEF_POWER) / total * best.sqrt() } else { 0.0 })
+        .collect()
+}
+
+/// Whether one of the instance's names is a noun the phrase may mean.
+fn name_matches(target: &Phrase, instance: &Instance) -> bool {
+    match target.meaning() {
+        Meaning::Anything => true,
+        Meaning::Structure(structure) => instance.structure == Some(structure),
+        Meaning::Nouns(nouns) => instance.names.iter().any(|guess| nouns.iter().any(|noun| noun.name == guess.name)),
+        Meaning::Unknown => instance.given_name.is_some(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::boxes::Aabb;
+    use crate::geometry::{Point3, Vector3};
+    use crate::grounding::direction::{DirectionConvention, Observer};
+    use crate::grounding::{Grounding, Question, SceneView, Timings, ground};
+    use crate::models::attributes::{self, tests::thing};
+    use crate::scene::{InstanceId, Support};
+
+    /// A small room: two sofas, a table with two mugs, a rug.
+    fn room() -> Vec<Instance> {
+        let on_table = Support::Instance { id: InstanceId(3) };
+        let mut instances = vec![
+            thing(1, [-2.0, 0.0], [2.1, 0.9, 0.8], 0.0, Support::Floor, [180, 40, 40]),
+            thing(2, [2.0, 0.0], [2.0, 0.9, 0.8], 0.0, Support::Floor, [40, 60, 170]),
+            thing(3, [0.0, 1.5], [1.25, 0.8, 0.74], 0.0, Support::Floor, [110, 75, 45]),
+            thing(4, [-0.5, 1.5], [0.11, 0.09, 0.1], 0.74, on_table, [200, 30, 30]),
+            thing(5, [0.5, 1.5], [0.11, 0.09, 0.1], 0.74, on_table, [30, 60, 180]),
+            thing(6, [0.0, -0.5], [2.0, 1.4, 0.01], 0.0, Support::Floor, [120, 60, 60]),
+        ];
+        instances.iter_mut().for_each(|i| i.names = attributes::name_guesses(i));
+        instances
+    }
+
+    fn ask_with(query: &str, convention: DirectionConvention, observer: Option<Observer>) -> Grounding {
+        let instances = room();
+        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+        let question = Question { query: query.into(), top_k: 5, convention, observer, target_name: None };
+        ground(SceneView { instances: &instances, extent, appearance: None }, &question)
+    }
+
+    fn ask(query: &str) -> Grounding {
+        ask_with(query, DirectionConvention::Paper, None)
+    }
+
+    #[test]
+    fn names_attributes_and_relations_pick_the_right_thing() {
+        for (query, expected) in [
+            ("the rug", 6),
+            ("the red sofa", 1),
+            ("the blue mug on the table", 5),
+            ("the mug closest to the red sofa", 4),
+            ("the sofa nearest to the blue mug", 2),
+            ("the mug farthest from the red sofa", 5),
+            ("the sofa that is not red", 2),
+            ("the mug that is not blue on the table", 4),
+            ("the table with two mugs", 3),
+            ("the mug closest to the table and the red sofa", 4),
+            ("the second closest mug to the blue sofa", 4),
+            ("standing at the blue sofa, the nearest mug", 5),
+            ("as seen from the table, the sofa on the left", 2),
+            ("something to sit on that is blue", 2),
+            ("the sofa, but not the red one", 2),
+        ] {
+            let answer = ask(query);
+            assert_eq!(answer.answer.predicted_id, Some(InstanceId(expected)), "{query}: {}", answer.answer.explanation);
+            assert_eq!(answer.status, Status::Grounded);
+            assert!(answer.aabb.is_some() && answer.oriented_box.is_some());
+        }
+    }
+
+    #[test]
+    fn the_anchor_and_the_relation_are_told() {
+        let answer = ask("the blue mug on the table").answer;
+        assert_eq!((answer.anchor_id, answer.relation_used.as_deref()), (Some(InstanceId(3)), Some("on the table")));
+        assert!(answer.explanation.contains("instance 3"), "{}", answer.explanation);
+    }
+
+    #[test]
+    fn absent_and_unknown_things_get_no_box() {
+        for query in ["the fridge", "the green sofa", "the theremin", "the green mug on the table"] {
+            let answer = ask(query);
+            assert_eq!((answer.status, answer.aabb, answer.answer.predicted_id), (Status::NoMatch, None, None), "{query}: {answer:?}");
+        }
+    }
+
+    #[test]
+    fn a_tie_is_called_one() {
+        let answer = ask("the mug");
+        assert_eq!((answer.status, answer.aabb), (Status::Ambiguous, None));
+        let mut tied: Vec<_> = answer.alternatives.iter().take(2).map(|a| a.id.0).collect();
+        tied.sort_unstable();
+        assert_eq!(tied, [4, 5]);
+    }
+
+    #[test]
+    fn left_depends_on_who_looks() {
+        // Mugs 4 (x = -0.5) and 5 (x = 0.5) stand side by side along X.
+        let predicted = |answer: Grounding| answer.answer.predicted_id.map(|id| id.0);
+        assert_eq!(predicted(ask_with("the leftmost mug", DirectionConvention::Viewer, None)), Some(4));
+        assert_eq!(predicted(ask_with("the leftmost mug", DirectionConvention::Paper, None)), Some(5));
+        let from_behind = Observer { position: [0.0, 4.0, 1.5], yaw_rad: -std::f32::consts::FRAC_PI_2 };
+        let answer = ask_with("the leftmost mug", DirectionConvention::Viewer, Some(from_behind));
+        assert_eq!(answer.direction_convention, "observer");
+        assert_eq!(predicted(answer), Some(5));
+        assert_eq!(predicted(ask("facing the table, the mug on the left")), Some(4));
+    }
+
+    #[test]
+    fn the_same_question_gives_the_same_answer() {
+        let strip = |mut answer: Grounding| {
+            answer.timings_ms = Timings::default();
+            answer
+        };
+        assert_eq!(strip(ask("the mug closest to the red sofa")), strip(ask("the mug closest to the red sofa")));
+    }
+}

@@ -1,0 +1,26 @@
+//! Who decides among the candidates. Built in: names, attributes and relations scored by geometry.
+
+pub mod builtin;
+mod explanation;
+
+use super::Status;
+use crate::scene::InstanceId;
+
+/// A decision, before it is made an answer. Vectors are by instance index.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Verdict {
+    /// `ambiguous` when the best are tied.
+    pub status: Status,
+    /// Fit of each instance to the whole question, `0..=1`.
+    pub scores: Vec<f32>,
+    /// Share of the belief each instance carries; together at most 1, and 0 for `no_match`.
+    pub beliefs: Vec<f32>,
+    /// Why, in words a person can check against the room.
+    pub explanation: String,
+    /// The first anchor of its relations, else the viewpoint's; `None` without either, and for `no_match`.
+    pub anchor: Option<InstanceId>,
+    /// Relations and superlative in the question's words; `None` when it has none, and for `no_match`.
+    pub relation_used: Option<String>,
+    /// Whether a name of the best instance is one the question may mean; `None` for `no_match`.
+    pub target_name_matches: Option<bool>,
+}

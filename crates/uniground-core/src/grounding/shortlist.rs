@@ -1,0 +1,17 @@
+//! Candidates by score: top-k, ties by id.
+
+use super::{Candidate, SceneView};
+use crate::geometry::statistics::largest;
+
+/// The `top_k` best instances by `scores` (by index); instances that score nothing are no candidates.
+pub(super) fn rank(scene: SceneView, scores: &[f32], top_k: usize) -> Vec<Candidate> {
+    largest(scores, top_k)
+        .into_iter()
+        .filter(|&i| scores[i] > 0.0)
+        .enumerate()
+        .map(|(rank, i)| {
+            let instance = &scene.instances[i];
+            Candidate { id: instance.id, rank: rank as u32 + 1, score: scores[i], aabb: instance.aabb }
+        })
+        .collect()
+}

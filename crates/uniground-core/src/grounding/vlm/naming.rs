@@ -1,0 +1,85 @@
+//! Names that do not depend on any question: asked for once, from photographs alone, and kept.
+
+use super::reply;
+use super::visual_evidence::encoded;
+use crate::grounding::scene_source::SceneSource;
+use crate::models::chat::{ChatRequest, Part, Picture};
+use crate::render::{Shot, mosaic};
+use crate::scene::InstanceId;
+use std::collections::BTreeMap;
+
+/// Raised when what models are told to name instances changes: names given before are asked for again.
+pub const NAMING_VERSION: u32 = 1;
+
+/// Instances on one sheet: 4 x 3 tiles of 256 pixels are four of a provider's tiles.
+pub const PER_SHEET: usize = 12;
+const COLUMNS: u32 = 4;
+const TILE_PX: u32 = 256;
+
+const SYSTEM: &str = "You name objects in photographs.";
+/// Longer names are descriptions.
+const MAX_NAME_CHARS: usize = 80;
+
+/// A sheet of instances to be named, and the ids on it: those that can be seen. `None` where none can.
+///
+/// # Errors
+/// The cloud can not be read.
+pub fn sheet_of<S: SceneSource>(source: &S, number: usize, ids: &[InstanceId]) -> Result<Option<(Picture, Vec<u32>)>, S::Error> {
+    if ids.is_empty() {
+        return Ok(None);
+    }
+    let render_scene = source.render_scene()?;
+    let shots: Vec<_> = ids
+        .iter()
+        .filter_map(|&id| Some((id, source.shots(id, &render_scene).into_iter().next()?)))
+        .collect();
+    let seen = shots.iter().map(|(id, _)| id.0).collect();
+    Ok((!shots.is_empty()).then(|| (sheet(number, &shots), seen)))
+}
+
+fn sheet(number: usize, shots: &[(InstanceId, Shot)]) -> Picture {
+    let tiles: Vec<_> = shots.iter().map(|(id, shot)| (id.0, shot.crop.clone())).collect();
+    encoded(format!("names-{number}"), &mosaic(&tiles, COLUMNS.min(tiles.len() as u32), TILE_PX))
+}
+
+/// The question for one sheet.
+#[must_use]
+pub fn request(sheet: Picture, ids: &[u32]) -> ChatRequest {
+    let list = ids.iter().map(|id| format!("ID {id}")).collect::<Vec<_>>().join(", ");
+    let text = format!(
+        "The image shows one object per tile, cut from pictures of a room, each under its ID: {list}. Give each a descriptive name of \
+         three to eight words: the noun, with its colour, material or shape. Name what fills the middle of the tile. Answer with one \
+         line per object, nothing else:\nID -> name"
+    );
+    ChatRequest { system: SYSTEM.into(), user: vec![Part::Picture(sheet), Part::Text(text)], schema: None }
+}
+
+/// The names in a reply, of those that were asked for. What a reply passes over has the name "": it is not asked about again, and its
+/// photographs are shown instead.
+#[must_use]
+pub fn read(text: &str, ids: &[u32]) -> BTreeMap<u32, String> {
+    let mut names = reply::names_in(text);
+    names.retain(|id, name| ids.contains(id) && name.chars().count() <= MAX_NAME_CHARS);
+    if !names.is_empty() {
+        for id in ids {
+            names.entry(*id).or_default();
+        }
+    }
+    names
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_read_and_strangers_left_out() {
+        let text = "<think>1 -> no</think>Here you are:\n**ID 1** -> red two-seat sofa\n- 2: white door\nID 9 -> a ghost\n3 -> ";
+        assert_eq!(
+            read(text, &[1, 2, 3]),
+            BTreeMap::from([(1, "red two-seat sofa".to_owned()), (2, "white door".to_owned()), (3, String::new())])
+        );
+        assert!(read("I can not.", &[1]).is_empty());
+        assert!(read(&format!("1 -> {}", "long ".repeat(40)), &[1]).is_empty());
+    }
+}

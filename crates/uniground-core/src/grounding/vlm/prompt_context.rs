@@ -1,0 +1,166 @@
+//! What a model is told about a question: candidates, anchors, directions. Nothing of it depends on the model.
+
+use super::EvidenceMode;
+use crate::geometry::Vector3;
+use crate::geometry::boxes::Aabb;
+use crate::grounding::assess::Assessor;
+use crate::grounding::direction::Directions;
+use crate::grounding::query::{ParsedQuery, Phrase};
+use crate::grounding::{Grounding, ParsedQuerySummary};
+use crate::render::{BoxStyle, DirectionWord, LabelledBox, Subjects};
+use crate::scene::InstanceId;
+use std::collections::BTreeMap;
+
+/// A question and what is known before a model is asked.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PromptContext {
+    /// The question as it was asked.
+    pub query: String,
+    /// How the question was read; its relations and anchors are told when the model is asked again.
+    pub summary: ParsedQuerySummary,
+    pub(super) target: Phrase,
+    /// Best first.
+    pub candidates: Vec<PromptCandidate>,
+    /// The geometry's guesses, and the prompt says that they are.
+    pub anchors: Vec<PromptAnchor>,
+    /// Axis-aligned boxes of every instance, in order of id.
+    pub(super) boxes: Vec<Aabb>,
+    pub(super) directions: Directions,
+    /// Whose left and right these are.
+    pub(super) seen_by: String,
+}
+
+/// A candidate as the prompt lists it.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PromptCandidate {
+    /// The id the model is to answer with.
+    pub id: InstanceId,
+    /// Fit to the whole question, `0..=1`; 0 for a thing that only stands in the right place.
+    pub score: f32,
+    /// Share of the geometry's belief, `0..=1`.
+    pub belief: f32,
+    /// Axis-aligned box, metres, world frame (Z up).
+    pub aabb: Aabb,
+}
+
+/// What the geometry takes for a thing the question measures its target against.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PromptAnchor {
+    /// The question's words for it.
+    pub words: String,
+    /// The likeliest instance; may be a candidate as well.
+    pub id: InstanceId,
+    /// Axis-aligned box, metres, world frame (Z up).
+    pub aabb: Aabb,
+}
+
+impl PromptContext {
+    /// `assessor` has the directions the question is read in; `grounding` the candidates.
+    pub(in crate::grounding) fn of(assessor: &Assessor, parsed: &ParsedQuery, grounding: &Grounding, beliefs: &[f32]) -> Self {
+        let mut phrases = Vec::new();
+        anchor_phrases(&parsed.target, &mut phrases);
+        phrases.extend(parsed.viewpoint.iter().map(|viewpoint| &viewpoint.anchor));
+        phrases.extend(parsed.standpoint.as_ref());
+        let mut anchors: Vec<PromptAnchor> = Vec::new();
+        for phrase in phrases {
+            let Some(instance) = assessor.best(phrase).map(|i| &assessor.scene.instances[i]) else { continue };
+            if anchors.iter().all(|a| a.id != instance.id) {
+                anchors.push(PromptAnchor { words: phrase.text(), id: instance.id, aabb: instance.aabb });
+            }
+        }
+        let directions = assessor.directions;
+        let seen_by = match &parsed.viewpoint {
+            Some(viewpoint) if directions.of_somebody && assessor.best(&viewpoint.anchor).is_some() => {
+                format!("as seen by somebody {} the {}", viewpoint.look.phrase(), viewpoint.anchor.text())
+            }
+            _ if directions.of_somebody => "as seen by the observer who asks".into(),
+            _ => format!("by the convention \"{}\"", grounding.direction_convention),
+        };
+        Self {
+            query: grounding.query.clone(),
+            summary: grounding.parsed_query.clone(),
+            target: parsed.target.clone(),
+            candidates: grounding
+                .candidates
+                .iter()
+                .map(|c| PromptCandidate { id: c.id, score: c.score, belief: beliefs[c.id.0 as usize - 1], aabb: c.aabb })
+                .collect(),
+            anchors,
+            boxes: assessor.scene.instances.iter().map(|i| i.aabb).collect(),
+            directions,
+            seen_by,
+        }
+    }
+
+    /// Candidates to be named before they are decided on: where names are used, the first that have none.
+    #[must_use]
+    pub fn unnamed(&self, names: &BTreeMap<u32, String>, evidence: EvidenceMode) -> Vec<InstanceId> {
+        let without = self
+            .candidates
+            .iter()
+            .map(|c| c.id)
+            .filter(|id| evidence == EvidenceMode::CachedNames && !names.contains_key(&id.0));
+        without.collect()
+    }
+
+    /// Whether an id, as a model gives it, is one of the candidates'.
+    #[must_use]
+    pub fn is_candidate(&self, id: u32) -> bool {
+        self.candidates.iter().any(|c| c.id.0 == id)
+    }
+
+    /// The six direction words and what they mean here. Named by the axis where they lie along one.
+    pub(super) fn words(&self) -> [(&'static str, Vector3<f32>); 6] {
+        let Directions { right, front, .. } = self.directions;
+        [("left", -right), ("right", right), ("front", front), ("back", -front), ("above", Vector3::z()), ("below", -Vector3::z())]
+    }
+
+    /// What the global render shows: candidates in blue, anchors in red on top, horizontal direction words at the rims.
+    #[must_use]
+    pub fn subjects(&self) -> Subjects {
+        let is_anchor = |id: InstanceId| self.anchors.iter().any(|a| a.id == id);
+        let candidate = |c: &PromptCandidate| LabelledBox {
+            aabb: c.aabb,
+            label: c.id.to_string(),
+            style: if is_anchor(c.id) { BoxStyle::Anchor } else { BoxStyle::Candidate },
+        };
+        let anchor = |a: &PromptAnchor| LabelledBox { aabb: a.aabb, label: format!("{} anchor", a.id), style: BoxStyle::Anchor };
+        let others = self.anchors.iter().filter(|a| !self.is_candidate(a.id.0)).map(anchor);
+        let mut boxes: Vec<LabelledBox> = self.candidates.iter().rev().map(candidate).chain(others).collect();
+        boxes.sort_by_key(|b| b.style == BoxStyle::Anchor);
+        let centers = self.candidates.iter().map(|c| c.aabb.center.coords).sum::<Vector3<f32>>() / self.candidates.len().max(1) as f32;
+        let words = self
+            .words()
+            .into_iter()
+            .take(4)
+            .map(|(word, direction)| DirectionWord { word: named(word, direction), direction });
+        Subjects { boxes, words: words.collect(), target: centers.into() }
+    }
+}
+
+/// "left (+X)", or the word alone where it lies along no axis.
+fn named(word: &str, direction: Vector3<f32>) -> String {
+    axis(direction).map_or_else(|| word.to_owned(), |axis| format!("{word} ({axis})"))
+}
+
+/// "+X" for a direction along an axis.
+pub(super) fn axis(direction: Vector3<f32>) -> Option<&'static str> {
+    const ALONG: f32 = 0.9999;
+    let axes = [
+        ("+X", Vector3::x()),
+        ("-X", -Vector3::x()),
+        ("+Y", Vector3::y()),
+        ("-Y", -Vector3::y()),
+        ("+Z", Vector3::z()),
+        ("-Z", -Vector3::z()),
+    ];
+    axes.into_iter().find(|(_, axis)| axis.dot(&direction) > ALONG).map(|(name, _)| name)
+}
+
+/// Anchors of a phrase's relations, and theirs.
+fn anchor_phrases<'a>(phrase: &'a Phrase, found: &mut Vec<&'a Phrase>) {
+    for anchor in phrase.relations.iter().flat_map(|relation| &relation.anchors) {
+        found.push(anchor);
+        anchor_phrases(anchor, found);
+    }
+}

@@ -1,0 +1,109 @@
+//! The pictures a model gets: the global render and a collage for every candidate.
+
+use super::{EvidenceMode, PromptContext};
+use crate::geometry::boxes::Aabb;
+use crate::grounding::scene_source::SceneSource;
+use crate::models::chat::Picture;
+use crate::render::{Collage, GlobalView, RenderScene, Shot, jpeg};
+use crate::scene::InstanceId;
+use image::RgbImage;
+use rayon::prelude::*;
+use std::collections::BTreeMap;
+
+/// Pictures for one question. Any may be missing: a scene without points has no render.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct VisualEvidence {
+    /// The global render: all views side by side. `None` without points or candidates, or where an ablation leaves it out.
+    pub global: Option<Picture>,
+    /// By candidate's id.
+    pub collages: BTreeMap<u32, Picture>,
+}
+
+/// How large pictures are. Pictures cost money: a provider charges by the tile.
+#[derive(Debug, Clone, PartialEq)]
+pub struct PictureSettings {
+    /// Views of the global render.
+    pub global: GlobalView,
+    /// Size and number of photographs of a candidate's collage.
+    pub collage: Collage,
+}
+
+impl PictureSettings {
+    /// Large pictures where they are all a model has to go by, smaller and fewer ones where names help.
+    #[must_use]
+    pub fn of(evidence: EvidenceMode) -> Self {
+        match evidence {
+            EvidenceMode::Full => Self::full(),
+            EvidenceMode::CachedNames => Self::frugal(),
+        }
+    }
+
+    /// Paper: three views of 680 x 680 pixels, collages of three pairs.
+    fn full() -> Self {
+        Self { global: GlobalView::default(), collage: Collage::default() }
+    }
+
+    /// For use with names: three views that take three of a provider's tiles, and one photograph of a candidate that takes one.
+    fn frugal() -> Self {
+        let collage = Collage { max_shots: 1, ..Collage::default() };
+        Self { global: GlobalView { view_px: 508, ..GlobalView::default() }, collage }
+    }
+}
+
+/// All pictures a question may need; what was drawn before is not drawn again.
+///
+/// # Errors
+/// The cloud can not be read.
+pub fn collect<S: SceneSource>(source: &S, context: &PromptContext, settings: &PictureSettings) -> Result<VisualEvidence, S::Error> {
+    let (cache, scene) = source.pictures();
+    let key_of_global = format!("{scene} {} {:?}", settings.global.view_px, context.subjects());
+    let key = |id: u32| format!("{scene} {id} {:?}", settings.collage);
+    let mut evidence = VisualEvidence { global: cache.globals.get(&key_of_global), ..VisualEvidence::default() };
+    let mut missing = Vec::new();
+    for candidate in &context.candidates {
+        match cache.collages.get(&key(candidate.id.0)) {
+            Some(known) => drop(evidence.collages.insert(candidate.id.0, known)),
+            None => missing.push(candidate.id),
+        }
+    }
+    if evidence.global.is_some() && missing.is_empty() {
+        return Ok(evidence);
+    }
+    let render_scene = source.render_scene()?;
+    let (global, collages) = rayon::join(
+        || match evidence.global.take() {
+            None => draw_global(context, &render_scene, &source.extent(), &settings.global),
+            known => known,
+        },
+        || draw_collages(&missing, |id| source.shots(id, &render_scene), settings.collage),
+    );
+    if let Some(picture) = &global {
+        cache.globals.put(key_of_global, picture.clone(), picture.jpeg.len());
+    }
+    evidence.global = global;
+    for (id, collage) in collages {
+        cache.collages.put(key(id), collage.clone(), collage.jpeg.len());
+        evidence.collages.insert(id, collage);
+    }
+    Ok(evidence)
+}
+
+/// The global render of a question; `None` where there are no points or no candidates.
+fn draw_global(context: &PromptContext, render_scene: &RenderScene, extent: &Aabb, view: &GlobalView) -> Option<Picture> {
+    if render_scene.cloud.is_empty() || context.candidates.is_empty() {
+        return None;
+    }
+    Some(encoded("global".into(), &view.draw(render_scene, extent, &context.subjects())))
+}
+
+/// A collage of each instance, from its photographs.
+fn draw_collages(of: &[InstanceId], shots: impl Fn(InstanceId) -> Vec<Shot> + Sync, collage: Collage) -> BTreeMap<u32, Picture> {
+    of.par_iter()
+        .map(|&id| (id.0, encoded(format!("candidate-{id}"), &collage.draw(id.0, &shots(id)))))
+        .collect()
+}
+
+pub(super) fn encoded(name: String, picture: &RgbImage) -> Picture {
+    let (width, height) = picture.dimensions();
+    Picture { name, jpeg: jpeg(picture).into(), width, height }
+}

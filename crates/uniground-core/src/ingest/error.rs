@@ -1,0 +1,78 @@
+//! What can be wrong with an upload. Messages are for the uploader: the file, frame or field is named.
+
+use crate::geometry::pose::PoseError;
+use crate::progress::Cancelled;
+use crate::scene::{FrameError, FrameIndex};
+use camino::Utf8PathBuf;
+use std::io;
+
+/// Why a scan is refused, could not be read, or was called off.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // Every message says what it is about.
+pub enum IngestError {
+    #[error("the upload is not a readable {kind} archive: {reason}")]
+    ArchiveUnreadable { kind: &'static str, reason: String },
+    #[error("archive entry {entry:?} {reason}")]
+    UnsafeEntry { entry: String, reason: &'static str },
+    #[error("the archive unpacks to more than {limit}")]
+    ArchiveTooLarge { limit: String },
+    #[error(
+        "no known scene layout: expected scene.json, or color/ depth/ pose/ and intrinsic.txt, or cloud.ply; the archive holds {found}"
+    )]
+    UnknownLayout { found: String },
+    #[error("{file}: {reason}")]
+    Malformed { file: Utf8PathBuf, reason: String },
+    #[error("{file} is missing")]
+    MissingFile { file: Utf8PathBuf },
+    #[error("{file}: intrinsics are missing")]
+    MissingIntrinsics { file: Utf8PathBuf },
+    #[error("{file}: intrinsics do not fit the picture: {reason}")]
+    BadIntrinsics { file: Utf8PathBuf, reason: String },
+    #[error("the scan has {colour} colour pictures, {depth} depth pictures and {pose} poses; first without a partner: {first}")]
+    FrameCountMismatch { colour: usize, depth: usize, pose: usize, first: Utf8PathBuf },
+    #[error("frame {frame}: {file}: {source}")]
+    BadPose {
+        frame: FrameIndex,
+        file: Utf8PathBuf,
+        #[source]
+        source: PoseError,
+    },
+    #[error("{file}: the cloud has no points")]
+    EmptyCloud { file: Utf8PathBuf },
+    #[error("the scene has no frames and no points")]
+    EmptyScene,
+    #[error("no frame can be used: {reason}")]
+    NoUsableFrames { reason: String },
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    #[error(
+        "cloud, poses and depth do not agree: {agreement:.0}% of the sampled points fit the depth pictures as the archive describes them, but {other_agreement:.0}% do with {hypothesis}"
+    )]
+    ConventionMismatch { agreement: f32, hypothesis: String, other_agreement: f32 },
+    #[error("{file}: {source}")]
+    Io {
+        file: Utf8PathBuf,
+        #[source]
+        source: io::Error,
+    },
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+impl IngestError {
+    /// A file of the archive that could not be read: the uploader's doing unless the disk failed.
+    pub(super) fn reading(file: impl Into<Utf8PathBuf>, source: io::Error) -> Self {
+        use io::ErrorKind::{InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound};
+        let file = file.into();
+        match source.kind() {
+            NotFound => Self::MissingFile { file },
+            InvalidData => Self::malformed(file, "not a text file in UTF-8"),
+            IsADirectory | NotADirectory | InvalidFilename | InvalidInput => Self::malformed(file, "not the name of a file"),
+            _ => Self::Io { file, source },
+        }
+    }
+
+    pub(super) fn malformed(file: impl Into<Utf8PathBuf>, reason: impl ToString) -> Self {
+        Self::Malformed { file: file.into(), reason: reason.to_string() }
+    }
+}

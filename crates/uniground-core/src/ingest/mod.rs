@@ -1,0 +1,33 @@
+//! Bytes to [`SceneBundle`]: unpack an archive, recognise its layout, check it, load it.
+//!
+//! Two moments. [`open`] runs while the caller waits: it reads manifests, poses and picture headers and refuses what can
+//! not become a scene. [`load`] runs in the parse job: it reads or fuses the cloud and checks that cloud, poses and depth
+//! agree. Everything that leaves this module is canonical (metres, Z up, OpenCV cameras, camera-to-world).
+
+pub mod archive;
+mod clouds;
+mod error;
+mod formats;
+mod fusion;
+mod load;
+mod reprojection;
+mod scan;
+mod unpacked;
+mod validate;
+
+pub use error::IngestError;
+pub use load::{load, read_cloud};
+pub use scan::Scan;
+pub use unpacked::Unpacked;
+
+use camino::Utf8Path;
+
+/// Recognises the layout below `folder` and checks everything that can be checked without decoding pictures.
+///
+/// # Errors
+/// [`IngestError`] naming the file, frame or field.
+pub fn open(folder: &Utf8Path) -> Result<Scan, IngestError> {
+    let mut scan = formats::read(folder)?;
+    validate::check(&mut scan)?;
+    Ok(scan)
+}

@@ -1,0 +1,331 @@
+//! The lexicon of indoor nouns, read from `lexicon.tsv` at first use.
+
+use std::collections::HashMap;
+use std::sync::LazyLock;
+
+/// A closed range in metres.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Range {
+    /// Lower end, part of the range.
+    pub low: f32,
+    /// Upper end, part of the range; not below `low`.
+    pub high: f32,
+}
+
+/// Sizes below this are all alike: thinner than a scan resolves.
+const RESOLUTION_M: f32 = 0.03;
+
+impl Range {
+    /// How far `value` lies outside, in natural logarithms of the ratio; 0 inside.
+    #[must_use]
+    pub fn misfit_log(&self, value: f32) -> f32 {
+        let [low, high, value] = [self.low, self.high, value].map(|v| v.max(RESOLUTION_M));
+        (low / value).ln().max((value / high).ln()).max(0.0)
+    }
+
+    /// How far `value` lies from the middle: 0 there, 1 at the ends and beyond; in logarithms.
+    #[must_use]
+    pub fn off_center(&self, value: f32) -> f32 {
+        let [low, high, value] = [self.low, self.high, value].map(|v| v.max(RESOLUTION_M).ln());
+        let half = (high - low) / 2.0;
+        if half <= 0.0 { 0.0 } else { ((value - f32::midpoint(low, high)) / half).abs().min(1.0) }
+    }
+
+    /// How far `value` lies outside, metres; 0 inside.
+    #[must_use]
+    pub fn misfit(&self, value: f32) -> f32 {
+        (self.low - value).max(value - self.high).max(0.0)
+    }
+
+    fn spread_log(&self) -> f32 {
+        (self.high.max(RESOLUTION_M) / self.low.max(RESOLUTION_M)).ln()
+    }
+}
+
+/// Where a thing rests.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Place {
+    /// On the floor itself.
+    Floor,
+    /// On another thing: a cup on a table.
+    Surface,
+    /// At a wall, or at the ceiling.
+    Wall,
+    /// On legs that a scan often loses: the top may seem to float.
+    Legs,
+    /// Nothing below or behind it was found; every noun agrees with that.
+    Unknown,
+}
+
+/// What a thing's surface is like.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Shape {
+    /// One plane: rugs, doors, screens.
+    Flat,
+    /// Closed and box-like.
+    Boxy,
+    /// Frames, legs and gaps.
+    Open,
+    /// Cylinders, balls, bowls.
+    Round,
+    /// Plants.
+    Bushy,
+    /// Bags, clothes, pillows.
+    Soft,
+}
+
+/// One entry of the lexicon.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Noun {
+    /// Lower case, singular, without hyphens and apostrophes; no other entry has it.
+    pub name: String,
+    /// Other words for exactly this thing; none leads to two entries.
+    pub synonyms: Vec<String>,
+    /// Broader words that also mean this thing.
+    pub kinds: Vec<String>,
+    /// Longer side of the footprint.
+    pub long: Range,
+    /// Shorter side of the footprint.
+    pub short: Range,
+    /// From underside to top; for a top on legs, from the floor to the top.
+    pub height: Range,
+    /// Height of the underside above the floor.
+    pub base: Range,
+    places: Vec<Place>,
+    /// How the surface usually is; held against an instance's planarity and its green.
+    pub shape: Shape,
+    /// Nouns it usually stands on or hangs at, most usual first; also `floor`, `wall`, `ceiling`.
+    pub usually_on: Vec<String>,
+    /// What people do with it: "sit on", "write with".
+    pub uses: Vec<String>,
+    /// How often such a thing is met, `0..=1`, against the most common ones.
+    pub prior: f32,
+}
+
+impl Noun {
+    /// Whether it may rest there; true for an unknown place, and for things on legs.
+    #[must_use]
+    pub fn stands_on(&self, place: Place) -> bool {
+        place == Place::Unknown || self.on_legs() || self.places.contains(&place)
+    }
+
+    /// Whether the height that counts is that of the top above the floor.
+    #[must_use]
+    pub fn on_legs(&self) -> bool {
+        self.places.contains(&Place::Legs)
+    }
+
+    /// Doors, windows and pictures are often cut as one plane with their wall.
+    #[must_use]
+    pub fn may_be_part_of_wall(&self) -> bool {
+        self.places.contains(&Place::Wall) && self.short.low <= RESOLUTION_M
+    }
+
+    /// `0.5..=1`: how much the ranges narrow a thing down.
+    #[must_use]
+    pub fn specificity(&self) -> f32 {
+        let spread = self.long.spread_log() + self.short.spread_log() + self.height.spread_log();
+        0.5 + 0.5 / (1.0 + 0.3 * spread)
+    }
+}
+
+/// All nouns and every word that leads to them.
+pub struct Lexicon {
+    nouns: Vec<Noun>,
+    by_word: HashMap<String, Vec<usize>>,
+    longest_words: usize,
+}
+
+impl Lexicon {
+    /// The one lexicon of the process.
+    #[must_use]
+    pub fn get() -> &'static Self {
+        static LEXICON: LazyLock<Lexicon> = LazyLock::new(|| Lexicon::read(include_str!("lexicon.tsv")));
+        &LEXICON
+    }
+
+    /// All entries, in the order of `lexicon.tsv`.
+    #[must_use]
+    pub fn nouns(&self) -> &[Noun] {
+        &self.nouns
+    }
+
+    /// The noun a word names directly or as a synonym; plurals are understood.
+    #[must_use]
+    pub fn find(&self, word: &str) -> Option<&Noun> {
+        self.find_all(word).into_iter().next()
+    }
+
+    /// Every noun a word may mean, the direct one first: "chair" means chairs, office chairs and armchairs.
+    #[must_use]
+    pub fn find_all(&self, word: &str) -> Vec<&Noun> {
+        singulars(word)
+            .iter()
+            .find_map(|w| self.by_word.get(w))
+            .map_or_else(Vec::new, |ids| ids.iter().map(|&i| &self.nouns[i]).collect())
+    }
+
+    /// Whether a word, or its singular, leads to a noun.
+    #[must_use]
+    pub fn knows(&self, word: &str) -> bool {
+        singulars(word).iter().any(|w| self.by_word.contains_key(w))
+    }
+
+    /// Every word that leads to a noun, in no order.
+    pub fn words(&self) -> impl Iterator<Item = &str> {
+        self.by_word.keys().map(String::as_str)
+    }
+
+    /// The nouns of things that are for one of these uses.
+    #[must_use]
+    pub fn of_uses(&self, uses: &[String]) -> Vec<&Noun> {
+        self.nouns.iter().filter(|noun| noun.uses.iter().any(|own| uses.contains(own))).collect()
+    }
+
+    /// How many words the longest entry has.
+    #[must_use]
+    pub fn longest_words(&self) -> usize {
+        self.longest_words
+    }
+
+    fn read(text: &str) -> Self {
+        let nouns: Vec<Noun> = text
+            .lines()
+            .filter(|line| !line.starts_with('#') && !line.trim().is_empty())
+            .filter_map(read_line)
+            .collect();
+        let mut by_word: HashMap<String, Vec<usize>> = HashMap::new();
+        // Names and synonyms first, kinds after: the direct meaning leads.
+        for (i, noun) in nouns.iter().enumerate() {
+            for word in std::iter::once(&noun.name).chain(&noun.synonyms) {
+                by_word.entry(word.clone()).or_default().push(i);
+            }
+        }
+        for (i, noun) in nouns.iter().enumerate() {
+            for word in &noun.kinds {
+                let meanings = by_word.entry(word.clone()).or_default();
+                if !meanings.contains(&i) {
+                    meanings.push(i);
+                }
+            }
+        }
+        let longest_words = by_word.keys().map(|w| w.split(' ').count()).max().unwrap_or(1);
+        Self { nouns, by_word, longest_words }
+    }
+}
+
+fn read_line(line: &str) -> Option<Noun> {
+    let columns: Vec<&str> = line.split('\t').collect();
+    let [name, synonyms, kinds, long, short, height, base, support, usual, shape, usually_on, uses] = columns[..] else { return None };
+    let words = |list: &str| list.split(',').map(str::trim).filter(|w| !w.is_empty()).map(str::to_owned).collect::<Vec<_>>();
+    let places = words(support)
+        .iter()
+        .map(|place| match place.as_str() {
+            "floor" => Some(Place::Floor),
+            "surface" => Some(Place::Surface),
+            "wall" => Some(Place::Wall),
+            "legs" => Some(Place::Legs),
+            _ => None,
+        })
+        .collect::<Option<_>>()?;
+    Some(Noun {
+        name: name.to_owned(),
+        synonyms: words(synonyms),
+        kinds: words(kinds),
+        long: range(long)?,
+        short: range(short)?,
+        height: range(height)?,
+        base: range(base)?,
+        places,
+        shape: match shape {
+            "flat" => Shape::Flat,
+            "boxy" => Shape::Boxy,
+            "open" => Shape::Open,
+            "round" => Shape::Round,
+            "bushy" => Shape::Bushy,
+            "soft" => Shape::Soft,
+            _ => return None,
+        },
+        usually_on: words(usually_on),
+        uses: words(uses),
+        prior: match usual {
+            "common" => 1.0,
+            "usual" => 0.8,
+            "rare" => 0.6,
+            _ => return None,
+        },
+    })
+}
+
+/// `low-high`; the low end may be negative.
+fn range(text: &str) -> Option<Range> {
+    let dash = text.char_indices().skip(1).find(|(_, c)| *c == '-')?.0;
+    let (low, high) = (text[..dash].parse().ok()?, text[dash + 1..].parse().ok()?);
+    (low <= high).then_some(Range { low, high })
+}
+
+/// The word itself, then what it may be the plural of.
+fn singulars(word: &str) -> Vec<String> {
+    let mut forms = vec![word.to_owned()];
+    if let Some(stem) = word.strip_suffix("ies") {
+        forms.push(format!("{stem}y"));
+    }
+    if let Some(stem) = word.strip_suffix("ves") {
+        forms.push(format!("{stem}f"));
+    }
+    if let Some(stem) = word.strip_suffix("es") {
+        forms.push(stem.to_owned());
+    }
+    if let Some(stem) = word.strip_suffix('s') {
+        forms.push(stem.to_owned());
+    }
+    forms
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::HashSet;
+
+    #[test]
+    fn every_line_of_the_lexicon_is_an_entry() {
+        let lines = include_str!("lexicon.tsv").lines().filter(|l| !l.starts_with('#') && !l.trim().is_empty());
+        for line in lines {
+            let noun = read_line(line).unwrap_or_else(|| panic!("not an entry: {line}"));
+            assert!(noun.long.high >= noun.short.low, "{line}");
+        }
+    }
+
+    #[test]
+    fn usual_places_are_names_and_no_word_is_two_things() {
+        let nouns = Lexicon::get().nouns();
+        assert!(nouns.len() >= 250, "{}", nouns.len());
+        let names: HashSet<&str> = nouns.iter().map(|noun| noun.name.as_str()).collect();
+        assert_eq!(names.len(), nouns.len());
+        let mut synonyms = HashSet::new();
+        for noun in nouns {
+            for place in &noun.usually_on {
+                assert!(
+                    names.contains(place.as_str()) || ["floor", "wall", "ceiling"].contains(&place.as_str()),
+                    "{}: {place}",
+                    noun.name
+                );
+            }
+            for synonym in &noun.synonyms {
+                assert!(!names.contains(synonym.as_str()) && synonyms.insert(synonym), "{}: {synonym}", noun.name);
+            }
+        }
+    }
+
+    #[test]
+    fn synonyms_plurals_and_kinds_lead_to_nouns() {
+        let lexicon = Lexicon::get();
+        assert_eq!(lexicon.find("couch").unwrap().name, "sofa");
+        assert_eq!(lexicon.find("bookshelves").map(|n| n.name.as_str()), Some("bookcase"));
+        assert_eq!(lexicon.find("boxes").unwrap().name, "box");
+        let chairs: Vec<_> = lexicon.find_all("chairs").iter().map(|n| n.name.as_str()).collect();
+        assert_eq!(chairs[0], "chair");
+        assert!(chairs.contains(&"office chair") && chairs.contains(&"armchair"));
+        assert!(lexicon.find("quaternion").is_none());
+    }
+}

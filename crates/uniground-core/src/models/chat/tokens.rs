@@ -1,0 +1,70 @@
+//! What a request takes, before it is sent: for budgets, and for figures without a model.
+
+use super::{ChatRequest, Part};
+
+/// Tokens of a request, reckoned: English text at four characters each, pictures by the tiles common providers document (512 x 512 pixels
+/// after fitting into 2048 x 2048 with the shorter side at most 768: 85 + 170 for every tile).
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub struct Tokens {
+    /// Of all words, the system message included.
+    pub text: u64,
+    /// Of all pictures together.
+    pub pictures: u64,
+}
+
+const CHARS_PER_TOKEN: u64 = 4;
+const PICTURE: u64 = 85;
+const TILE: u64 = 170;
+
+impl Tokens {
+    /// Reckons a request; its schema is not counted.
+    #[must_use]
+    pub fn of(request: &ChatRequest) -> Self {
+        let mut tokens = Self { text: text(&request.system), pictures: 0 };
+        for part in &request.user {
+            match part {
+                Part::Text(words) => tokens.text += text(words),
+                Part::Picture(picture) => tokens.pictures += self::picture(picture.width, picture.height),
+            }
+        }
+        tokens
+    }
+
+    /// Tokens of a text.
+    #[must_use]
+    pub fn of_text(words: &str) -> u64 {
+        text(words)
+    }
+
+    /// Of words and pictures together.
+    #[must_use]
+    pub fn total(self) -> u64 {
+        self.text + self.pictures
+    }
+}
+
+fn text(words: &str) -> u64 {
+    (words.chars().count() as u64).div_ceil(CHARS_PER_TOKEN)
+}
+
+fn picture(width: u32, height: u32) -> u64 {
+    let (width, height) = (f64::from(width.max(1)), f64::from(height.max(1)));
+    let fit = (2048.0 / width.max(height)).min(1.0);
+    let fit = fit * (768.0 / (width.min(height) * fit)).min(1.0);
+    let tiles = |side: f64| (side * fit / 512.0).ceil() as u64;
+    PICTURE + TILE * tiles(width) * tiles(height)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Figures of the provider's own documentation.
+    #[test]
+    fn pictures_are_counted_in_tiles() {
+        assert_eq!(picture(1024, 1024), 765);
+        assert_eq!(picture(2048, 4096), 1105);
+        assert_eq!(picture(512, 512), 255);
+        assert_eq!(picture(2048, 680), 85 + 170 * 8);
+    }
+}

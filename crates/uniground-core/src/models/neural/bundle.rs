@@ -1,0 +1,426 @@
+//! A bundle: a folder with `model.json`, networks and, for text, a tokenizer.
+
+use super::ModelError;
+use camino::{Utf8Path, Utf8PathBuf};
+use serde::Deserialize;
+use sha2::{Digest, Sha256};
+use std::fs::{self, File};
+use std::io;
+
+/// The file that describes a bundle; a folder without it is none.
+pub const MANIFEST: &str = "model.json";
+
+/// `model.json`.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Manifest {
+    /// `kind` is `dual-encoder`: pictures and words in one space.
+    DualEncoder(DualEncoderManifest),
+    /// `kind` is `promptable-segmenter`: points in a picture become masks.
+    PromptableSegmenter(SegmenterManifest),
+}
+
+/// `model.json` of a dual encoder.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct DualEncoderManifest {
+    /// 1 to 100 letters, digits, dots, dashes and underscores.
+    pub name: String,
+    /// Length of an embedding, 1 to 65536; the same for pictures and words.
+    pub embedding_dim: usize,
+    /// Embeds pictures.
+    pub image: ImageTower,
+    /// Embeds words.
+    pub text: TextTower,
+    /// What cosines are multiplied with before they are compared as likelihoods; 100 for CLIP and its kin.
+    #[serde(default = "usual_scale")]
+    pub logit_scale: f32,
+    /// Of the weights, for people; empty when not told.
+    #[serde(default)]
+    pub licence: String,
+    /// Where the weights come from, for people; empty when not told.
+    #[serde(default)]
+    pub source: String,
+}
+
+fn usual_scale() -> f32 {
+    100.0
+}
+
+/// The network that embeds pictures, and how it wants them.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct ImageTower {
+    /// Name of the network's file, in the bundle's folder.
+    pub file: String,
+    /// Name of the tensor of pictures: `[batch, 3, height, width]`, 32-bit floats.
+    pub input: String,
+    /// Name of the tensor of embeddings: `[batch, embedding_dim]`, not yet of unit length.
+    pub output: String,
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// How a picture is brought to `size`.
+    pub resize: Resize,
+    /// Filter of the resizing.
+    pub interpolation: Interpolation,
+    /// Subtracted from values in `0..=1`: red, green, blue.
+    pub mean: [f32; 3],
+    /// Divides what is left, above 0: red, green, blue.
+    pub std: [f32; 3],
+    /// Several pictures fit into one call.
+    #[serde(default = "yes")]
+    pub dynamic_batch: bool,
+}
+
+fn yes() -> bool {
+    true
+}
+
+/// The network that embeds words, and its tokenizer.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct TextTower {
+    /// Name of the network's file, in the bundle's folder.
+    pub file: String,
+    /// Name of the tensor of token ids: `[batch, context_length]`, 64-bit integers.
+    pub input_ids: String,
+    /// Name of the tensor of 1 for tokens and 0 for padding, shaped like `input_ids`; `None` when the network has none.
+    pub attention_mask: Option<String>,
+    /// Name of the tensor of embeddings: `[batch, embedding_dim]`, not yet of unit length.
+    pub output: String,
+    /// Name of the tokenizer's file, in the bundle's folder, usually `tokenizer.json`; it pads and cuts to `context_length`.
+    pub tokenizer: String,
+    /// Tokens of every sentence, padding included, 1 to 65536; longer sentences lose their end.
+    pub context_length: usize,
+    /// Id of the token that sentences are padded with; 0 when not told.
+    #[serde(default)]
+    pub pad_id: u32,
+    /// What a noun is put into before it is embedded: "a photo of a {}." for towers trained on captions.
+    #[serde(default = "plain")]
+    pub template: String,
+}
+
+fn plain() -> String {
+    "{}".into()
+}
+
+/// `model.json` of a promptable segmenter.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct SegmenterManifest {
+    /// What it is built like.
+    pub family: Family,
+    /// 1 to 100 letters, digits, dots, dashes and underscores.
+    pub name: String,
+    /// Runs once a picture.
+    pub encoder: SegmenterEncoder,
+    /// Runs for every batch of prompts.
+    pub decoder: SegmenterDecoder,
+    /// Of the weights, for people; empty when not told.
+    #[serde(default)]
+    pub licence: String,
+    /// Where the weights come from, for people; empty when not told.
+    #[serde(default)]
+    pub source: String,
+}
+
+/// What a segmenter is built like: it decides which features the decoder reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Family {
+    /// SAM, and `MobileSAM`: one embedding of the picture.
+    Sam,
+    /// SAM 2: finer features beside the embedding.
+    Sam2,
+}
+
+/// The network that sees the picture, and how it wants it.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct SegmenterEncoder {
+    /// Name of the network's file, in the bundle's folder.
+    pub file: String,
+    /// Name of the tensor of the picture: `[1, 3, size, size]`, 32-bit floats.
+    pub input: String,
+    /// Tensors it makes; `image_embed` must be among them.
+    pub outputs: FeatureNames,
+    /// Width and height of its input, pixels, 1 to 4096.
+    pub size: u32,
+    /// How a picture is brought to `size`; cropping is refused.
+    pub resize: Resize,
+    /// Filter of the resizing.
+    pub interpolation: Interpolation,
+    /// What `mean` and `std` are in.
+    pub value_range: ValueRange,
+    /// Subtracted from the values: red, green, blue.
+    pub mean: [f32; 3],
+    /// Divides what is left, above 0: red, green, blue.
+    pub std: [f32; 3],
+}
+
+/// Tensor names by role.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Deserialize)]
+pub struct FeatureNames {
+    /// Embedding of the whole picture.
+    pub image_embed: Option<String>,
+    /// The finest features, a quarter of the input's side; `None` for SAM.
+    pub high_res_feats_0: Option<String>,
+    /// Finer features, an eighth of the input's side; `None` for SAM.
+    pub high_res_feats_1: Option<String>,
+}
+
+impl FeatureNames {
+    /// Those there are, by role.
+    pub fn each(&self) -> impl Iterator<Item = (&'static str, &str)> {
+        [("image_embed", &self.image_embed), ("high_res_feats_0", &self.high_res_feats_0), ("high_res_feats_1", &self.high_res_feats_1)]
+            .into_iter()
+            .filter_map(|(role, name)| Some((role, name.as_deref()?)))
+    }
+
+    /// The tensor's name in a role such as `image_embed`; `None` when it has none.
+    #[must_use]
+    pub fn of(&self, role: &str) -> Option<&str> {
+        self.each().find(|(r, _)| *r == role).map(|(_, name)| name)
+    }
+}
+
+/// The network that turns prompts into masks.
+#[derive(Debug, Clone, PartialEq, Deserialize)]
+pub struct SegmenterDecoder {
+    /// Name of the network's file, in the bundle's folder.
+    pub file: String,
+    /// Tensors it reads.
+    pub inputs: DecoderInputs,
+    /// Tensors it makes.
+    pub outputs: DecoderOutputs,
+    /// Width and height of the masks that come out, pixels, 1 to 4096.
+    pub mask_size: usize,
+    /// Masks for each prompt, 1 to 16.
+    pub num_masks: usize,
+    /// First mask that one point may mean, counted from 0; all after it may be meant as well.
+    pub multimask_first: usize,
+    /// The mask that several points mean, counted from 0; `None`: they are answered like one point.
+    pub single_mask: Option<usize>,
+    /// Several prompts fit into one call.
+    pub dynamic_batch: bool,
+    /// Prompts in one call, 1 to 1024; without `dynamic_batch` there is always one.
+    pub max_batch: usize,
+    /// Prompts without a box get one more point, labelled -1, which means nothing.
+    pub pad_point: bool,
+    /// Logit above which a pixel is inside.
+    pub mask_threshold: f32,
+}
+
+/// Tensors the decoder reads, by role.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+pub struct DecoderInputs {
+    /// What the encoder made; each must be among its outputs.
+    #[serde(flatten)]
+    pub features: FeatureNames,
+    /// Name of the tensor of points: `[batch, points, 2]`, x and y in network pixels.
+    pub point_coords: String,
+    /// Name of the tensor of their meanings: `[batch, points]`; 0 outside, 1 inside, 2 and 3 corners of a box, -1 padding.
+    pub point_labels: String,
+    /// Name of the tensor of a mask to start from: `[batch, 1, mask_size, mask_size]`, here all 0; `None` when the network has none.
+    pub mask_input: Option<String>,
+    /// Name of the tensor that says whether `mask_input` counts, here 0; there exactly when `mask_input` is.
+    pub has_mask_input: Option<String>,
+    /// Must be `None`: masks are enlarged here, not by the network.
+    pub orig_im_size: Option<String>,
+}
+
+/// Tensors the decoder makes, by role.
+#[derive(Debug, Clone, PartialEq, Eq, Deserialize)]
+pub struct DecoderOutputs {
+    /// Name of the tensor of logits: `[batch, num_masks, mask_size, mask_size]`.
+    pub masks: String,
+    /// Name of the tensor of each mask's predicted IoU: `[batch, num_masks]`.
+    pub iou: String,
+}
+
+/// How a picture becomes as large as the network wants it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Resize {
+    /// Both sides as wanted, whatever the aspect.
+    Squash,
+    /// The shorter side as wanted, the middle cut out.
+    ShortestCenterCrop,
+    /// The longer side as wanted, the rest the mean colour.
+    #[serde(alias = "longest-side-pad")]
+    LongestPad,
+}
+
+/// Filter a picture is resized with. It widens when shrinking (antialias), as Pillow's does.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Interpolation {
+    /// Straight lines between two neighbours along each axis.
+    Bilinear,
+    /// Catmull-Rom curves through four neighbours along each axis.
+    Bicubic,
+}
+
+/// What mean and std of a segmenter are in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
+pub enum ValueRange {
+    /// Values as they are, 0 to 255.
+    #[serde(rename = "0-255")]
+    Bytes,
+    /// Values divided by 255, 0 to 1.
+    #[serde(rename = "0-1")]
+    Unit,
+}
+
+/// A folder with a manifest that makes sense. Its networks are not loaded.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Bundle {
+    /// Where `model.json` lies.
+    pub folder: Utf8PathBuf,
+    /// As read from there, and checked.
+    pub manifest: Manifest,
+}
+
+impl Bundle {
+    /// # Errors
+    /// [`ModelError::Bundle`] naming `model.json` and the field.
+    pub fn read(folder: &Utf8Path) -> Result<Self, ModelError> {
+        let file = folder.join(MANIFEST);
+        let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
+        let text = fs::read_to_string(&file).map_err(|e| wrong(e.to_string()))?;
+        let manifest = Manifest::parse(&text).map_err(wrong)?;
+        manifest.check().map_err(|(field, expected)| wrong(format!("{field}: expected {expected}")))?;
+        Ok(Self { folder: folder.to_owned(), manifest })
+    }
+
+    /// The manifest's; the folder may be called something else.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        match &self.manifest {
+            Manifest::DualEncoder(m) => &m.name,
+            Manifest::PromptableSegmenter(m) => &m.name,
+        }
+    }
+
+    /// Where a file of the bundle should lie; the disk is not asked.
+    #[must_use]
+    pub fn path(&self, file: &str) -> Utf8PathBuf {
+        self.folder.join(file)
+    }
+
+    /// The networks, then the tokenizer where there is one.
+    #[must_use]
+    pub fn files(&self) -> (Vec<&str>, Option<&str>) {
+        match &self.manifest {
+            Manifest::DualEncoder(m) => (vec![&m.image.file, &m.text.file], Some(&m.text.tokenizer)),
+            Manifest::PromptableSegmenter(m) => (vec![&m.encoder.file, &m.decoder.file], None),
+        }
+    }
+
+    /// SHA-256 over names and contents of the manifest and the files it names, and over `also`; hexadecimal.
+    ///
+    /// # Errors
+    /// [`ModelError::Bundle`] naming the file that is missing.
+    pub fn fingerprint(&self, with_networks: bool, also: &[String]) -> Result<String, ModelError> {
+        let (networks, tokenizer) = self.files();
+        let mut digest = Sha256::new();
+        for name in std::iter::once(MANIFEST).chain(networks.into_iter().filter(|_| with_networks)).chain(tokenizer) {
+            let file = self.path(name);
+            let wrong = |e: io::Error| ModelError::Bundle { file: file.clone(), why: e.to_string() };
+            digest.update(name);
+            digest.update([0]);
+            let mut reader = File::open(&file).map_err(wrong)?;
+            digest.update(reader.metadata().map_err(wrong)?.len().to_le_bytes());
+            io::copy(&mut reader, &mut HashWriter(&mut digest)).map_err(wrong)?;
+        }
+        also.iter().for_each(|text| digest.update(text));
+        Ok(digest.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
+    }
+}
+
+struct HashWriter<'a>(&'a mut Sha256);
+
+impl io::Write for HashWriter<'_> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.update(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+const MAX_SIDE: u32 = 4096;
+
+impl Manifest {
+    fn parse(text: &str) -> Result<Self, String> {
+        fn named<T: serde::de::DeserializeOwned>(manifest: serde_json::Value) -> Result<T, String> {
+            serde_path_to_error::deserialize(manifest).map_err(|e| e.to_string())
+        }
+        let manifest: serde_json::Value = serde_json::from_str(text).map_err(|e| e.to_string())?;
+        match manifest["kind"].as_str() {
+            Some("dual-encoder") => named(manifest).map(Self::DualEncoder),
+            Some("promptable-segmenter") => named(manifest).map(Self::PromptableSegmenter),
+            _ => Err("kind: expected dual-encoder or promptable-segmenter".into()),
+        }
+    }
+
+    fn check(&self) -> Result<(), (&'static str, &'static str)> {
+        let spread = |std: &[f32; 3]| std.iter().all(|s| s.is_finite() && *s > 0.0);
+        let rules: &[(&str, bool, &str)] = match self {
+            Self::DualEncoder(m) => &[
+                ("name", is_name(&m.name), NAME_RULE),
+                ("embedding_dim", (1..=65_536).contains(&m.embedding_dim), "1 to 65536"),
+                ("image.size", m.image.size.iter().all(|s| (1..=MAX_SIDE).contains(s)), "1 to 4096 pixels each"),
+                ("image.std", spread(&m.image.std), "above 0"),
+                ("image.file", is_file(&m.image.file), FILE_RULE),
+                ("text.file", is_file(&m.text.file), FILE_RULE),
+                ("text.tokenizer", is_file(&m.text.tokenizer), FILE_RULE),
+                ("logit_scale", m.logit_scale.is_finite() && m.logit_scale > 0.0, "above 0"),
+                ("text.template", m.text.template.contains("{}"), "a text with {} in it"),
+                ("text.context_length", (1..=65_536).contains(&m.text.context_length), "1 to 65536"),
+            ],
+            Self::PromptableSegmenter(m) => &[
+                ("name", is_name(&m.name), NAME_RULE),
+                ("encoder.size", (1..=MAX_SIDE).contains(&m.encoder.size), "1 to 4096 pixels"),
+                ("encoder.std", spread(&m.encoder.std), "above 0"),
+                ("encoder.resize", m.encoder.resize != Resize::ShortestCenterCrop, "squash or longest-side-pad"),
+                ("encoder.file", is_file(&m.encoder.file), FILE_RULE),
+                ("decoder.file", is_file(&m.decoder.file), FILE_RULE),
+                ("encoder.outputs.image_embed", m.encoder.outputs.image_embed.is_some(), "the name of a tensor"),
+                (
+                    "decoder.inputs",
+                    m.decoder.inputs.features.each().all(|(role, _)| m.encoder.outputs.of(role).is_some()),
+                    "only features the encoder has",
+                ),
+                (
+                    "decoder.inputs",
+                    m.decoder.inputs.features.high_res_feats_0.is_some() == (m.family == Family::Sam2),
+                    "high_res_feats for the family sam2, none for sam",
+                ),
+                ("decoder.inputs.orig_im_size", m.decoder.inputs.orig_im_size.is_none(), "null: masks are enlarged here"),
+                (
+                    "decoder.inputs.has_mask_input",
+                    m.decoder.inputs.mask_input.is_some() == m.decoder.inputs.has_mask_input.is_some(),
+                    "both mask inputs or none",
+                ),
+                ("decoder.mask_size", (1..=MAX_SIDE as usize).contains(&m.decoder.mask_size), "1 to 4096 pixels"),
+                ("decoder.num_masks", (1..=16).contains(&m.decoder.num_masks), "1 to 16"),
+                ("decoder.multimask_first", m.decoder.multimask_first < m.decoder.num_masks, "below num_masks"),
+                ("decoder.single_mask", m.decoder.single_mask.is_none_or(|i| i < m.decoder.num_masks), "below num_masks"),
+                ("decoder.max_batch", (1..=1024).contains(&m.decoder.max_batch), "1 to 1024"),
+                ("decoder.mask_threshold", m.decoder.mask_threshold.is_finite(), "a number"),
+            ],
+        };
+        rules
+            .iter()
+            .find(|(_, fine, _)| !fine)
+            .map_or(Ok(()), |&(field, _, expected)| Err((field, expected)))
+    }
+}
+
+const NAME_RULE: &str = "1 to 100 letters, digits, dots, dashes and underscores";
+const FILE_RULE: &str = "the name of a file in the same folder";
+
+fn is_name(name: &str) -> bool {
+    (1..=100).contains(&name.len()) && name.chars().all(|c| c.is_ascii_alphanumeric() || ".-_".contains(c))
+}
+
+fn is_file(name: &str) -> bool {
+    is_name(name) && !name.starts_with('.')
+}

@@ -1,0 +1,113 @@
+//! The models a process works with: bundles by name or folder, loaded once.
+
+use super::bundle::{Bundle, Manifest};
+use super::engine::{Engine, Work};
+use super::{DualEncoder, ModelError, Segmenter};
+use camino::{Utf8Path, Utf8PathBuf};
+use std::sync::Arc;
+use uniground_types::models::{LoadedModel, Role};
+
+/// Segmenter and encoder, where there are any. Cheap to clone.
+#[derive(Clone, Default)]
+pub struct Models {
+    /// Makes 2D masks; `None`: they are cut by depth and colour (docs/METHOD.md, section 1.3).
+    pub segmenter: Option<Arc<Segmenter>>,
+    /// Embeds pictures and words; `None`: names come from measures (docs/METHOD.md, section 1.10).
+    pub encoder: Option<Arc<DualEncoder>>,
+    /// What callers are told of each, in the order of loading.
+    pub loaded: Vec<LoadedModel>,
+}
+
+impl std::fmt::Debug for Models {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Models").field("loaded", &self.loaded).finish_non_exhaustive()
+    }
+}
+
+/// Prompts and queries come several at once; a picture's encoder uses all cores by itself.
+const AT_ONCE: usize = 2;
+
+/// The folder of a bundle: a path, or a name below `folder`.
+#[must_use]
+pub fn folder_of(bundle: &str, folder: &Utf8Path) -> Utf8PathBuf {
+    match bundle.contains(['/', '\\']) {
+        true => bundle.into(),
+        false => folder.join(bundle),
+    }
+}
+
+impl Models {
+    /// Loads a segmenter.
+    ///
+    /// # Errors
+    /// [`ModelError`] naming file and tensor.
+    pub fn with_segmenter(mut self, engine: &dyn Engine, folder: &Utf8Path) -> Result<Self, ModelError> {
+        let bundle = Bundle::read(folder)?;
+        let Manifest::PromptableSegmenter(manifest) = &bundle.manifest else { return Err(wrong_kind(&bundle, "a promptable-segmenter")) };
+        let encoder = engine.open(&bundle, &manifest.encoder.file, 1, Work::Parsing)?;
+        let decoder = engine.open(&bundle, &manifest.decoder.file, AT_ONCE, Work::Parsing)?;
+        let segmenter = Segmenter::new(&bundle, manifest, encoder, decoder)?;
+        self.note(engine, &bundle, Role::Masks, None, segmenter.batch(), &manifest.licence)?;
+        self.segmenter = Some(Arc::new(segmenter));
+        Ok(self)
+    }
+
+    /// Loads a dual encoder.
+    ///
+    /// # Errors
+    /// [`ModelError`] naming file and tensor.
+    pub fn with_encoder(mut self, engine: &dyn Engine, folder: &Utf8Path) -> Result<Self, ModelError> {
+        let bundle = Bundle::read(folder)?;
+        let Manifest::DualEncoder(manifest) = &bundle.manifest else { return Err(wrong_kind(&bundle, "a dual-encoder")) };
+        let image = engine.open(&bundle, &manifest.image.file, 1, Work::Parsing)?;
+        let text = engine.open(&bundle, &manifest.text.file, AT_ONCE, Work::Questions)?;
+        let encoder = DualEncoder::new(&bundle, manifest, image, text)?;
+        self.note(engine, &bundle, Role::Encoder, Some(encoder.dim()), encoder.batch(), &manifest.licence)?;
+        self.encoder = Some(Arc::new(encoder));
+        Ok(self)
+    }
+
+    /// Those of the wanted roles.
+    #[must_use]
+    pub fn only(&self, masks: bool, encoder: bool) -> Self {
+        let wanted = |role: Role| if role == Role::Masks { masks } else { encoder };
+        Self {
+            segmenter: self.segmenter.clone().filter(|_| masks),
+            encoder: self.encoder.clone().filter(|_| encoder),
+            loaded: self.loaded.iter().filter(|model| wanted(model.role)).cloned().collect(),
+        }
+    }
+
+    fn note(
+        &mut self,
+        engine: &dyn Engine,
+        bundle: &Bundle,
+        role: Role,
+        dimensions: Option<usize>,
+        batch: usize,
+        licence: &str,
+    ) -> Result<(), ModelError> {
+        self.loaded.push(LoadedModel {
+            name: bundle.name().to_owned(),
+            role,
+            fingerprint: engine.fingerprint(bundle)?,
+            runs_on: engine.runs_on(),
+            library: engine.library(),
+            dimensions,
+            batch,
+            licence: licence.to_owned(),
+        });
+        Ok(())
+    }
+
+    /// What a loaded model is recorded as: its name and the beginning of its fingerprint.
+    #[must_use]
+    pub fn label(&self, role: Role) -> Option<String> {
+        let model = self.loaded.iter().find(|model| model.role == role)?;
+        Some(format!("{}@{}", model.name, &model.fingerprint[..12]))
+    }
+}
+
+fn wrong_kind(bundle: &Bundle, wanted: &str) -> ModelError {
+    ModelError::Bundle { file: bundle.path(super::bundle::MANIFEST), why: format!("is not {wanted}") }
+}

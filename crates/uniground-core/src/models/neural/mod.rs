@@ -1,0 +1,52 @@
+//! Neural models: bundles of ONNX networks, run by an [`Engine`]: ONNX Runtime in this process, or whatever else a program brings along.
+//!
+//! ```text
+//! bundle (model.json) ─> Engine ─> Networks (onnx: session pools)
+//!                           └─> DualEncoder, Segmenter
+//! ```
+//! What stands above knows pictures, words and prompts; nobody outside this folder sees a tensor.
+
+pub mod bundle;
+mod bundle_listing;
+mod dual_encoder;
+mod engine;
+mod loading;
+pub mod network;
+mod onnx;
+mod pixels;
+mod segmenter;
+
+pub use bundle_listing::{BundleFile, BundleListing, list, verify};
+pub use dual_encoder::{DualEncoder, TextEmbedding};
+pub use engine::{Engine, Work};
+pub use loading::{Models, folder_of};
+pub use onnx::{OnnxRuntime, Provider, RuntimeSettings};
+pub use segmenter::{Encoded, LowMask, PointLabel, Prompt, Segmenter};
+pub use uniground_types::models::{LoadedModel, Role};
+
+use camino::Utf8PathBuf;
+
+/// What can be wrong with a model. Messages name the file and the tensor.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // Every message says what it is about.
+pub enum ModelError {
+    #[error("the ONNX Runtime library was not found: looked at {}", looked_at.join(", "))]
+    NoLibrary { looked_at: Vec<String> },
+    #[error("the ONNX Runtime library {library} can not be used: {why}")]
+    BadLibrary { library: Utf8PathBuf, why: String },
+    #[error("{provider} is not there: {why}")]
+    NoProvider { provider: Provider, why: String },
+    #[error("{file}: {why}")]
+    Bundle { file: Utf8PathBuf, why: String },
+    #[error("{file}: tensor {tensor}: {why}")]
+    Tensor { file: Utf8PathBuf, tensor: String, why: String },
+    #[error("{network} failed: {why}")]
+    Run { network: String, why: String },
+    #[error("{network}: {tensor} has values that are no numbers")]
+    NotFinite { network: String, tensor: String },
+    #[error("{network} at the inference server: {why}")]
+    Remote { network: String, why: String },
+}
+
+#[cfg(test)]
+pub(crate) mod tests;

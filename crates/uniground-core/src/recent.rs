@@ -1,0 +1,69 @@
+//! Values used lately, kept in memory within a bound.
+
+use std::sync::{Mutex, PoisonError};
+
+/// The most recently used values, as many as their weights allow, and always the latest. What is kept never changes, so nothing is
+/// ever stale.
+pub struct Recent<V> {
+    /// Latest last: key, value, weight.
+    entries: Mutex<Vec<(String, V, usize)>>,
+    capacity: usize,
+}
+
+impl<V: Clone> Recent<V> {
+    /// Keeps values whose weights add up to at most `capacity`.
+    #[must_use]
+    pub fn new(capacity: usize) -> Self {
+        Self { entries: Mutex::default(), capacity }
+    }
+
+    /// The value under a key, which is now the latest.
+    pub fn get(&self, key: &str) -> Option<V> {
+        let mut entries = self.entries.lock().unwrap_or_else(PoisonError::into_inner);
+        let at = entries.iter().position(|(known, ..)| known == key)?;
+        let entry = entries.remove(at);
+        let value = entry.1.clone();
+        entries.push(entry);
+        Some(value)
+    }
+
+    /// Keeps a value; the least recently used leave for it.
+    pub fn put(&self, key: String, value: V, weight: usize) {
+        let mut entries = self.entries.lock().unwrap_or_else(PoisonError::into_inner);
+        entries.retain(|(known, ..)| *known != key);
+        entries.push((key, value, weight));
+        let mut total: usize = entries.iter().map(|(_, _, weight)| weight).sum();
+        let mut leaving = 0;
+        while total > self.capacity && leaving + 1 < entries.len() {
+            total -= entries[leaving].2;
+            leaving += 1;
+        }
+        entries.drain(..leaving);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_least_recently_used_leaves_first() {
+        let cache = Recent::new(64);
+        (0..64).for_each(|i| cache.put(i.to_string(), i, 1));
+        assert!(cache.get("0").is_some());
+        cache.put("new".into(), 64, 1);
+        assert!(cache.get("0").is_some() && cache.get("new").is_some() && cache.get("1").is_none());
+    }
+
+    #[test]
+    fn heavy_values_push_out_many() {
+        let cache = Recent::new(10);
+        (0..5).for_each(|i| cache.put(i.to_string(), i, 2));
+        cache.put("heavy".into(), 9, 7);
+        assert!(cache.get("heavy").is_some() && cache.get("4").is_some() && cache.get("3").is_none());
+        cache.put("too heavy".into(), 9, 11);
+        assert!(cache.get("too heavy").is_some() && cache.get("heavy").is_none(), "the latest stays, alone");
+        cache.put("heavy".into(), 1, 1);
+        assert_eq!(cache.get("heavy"), Some(1));
+    }
+}

@@ -1,0 +1,53 @@
+//! Pictures of a parsed scene, on the CPU and deterministic: splatted points, boxes, labels.
+
+mod camera;
+mod candidates;
+mod close_up;
+mod collage;
+mod directions;
+mod jpeg;
+mod overlay;
+mod render_scene;
+mod text;
+
+use crate::geometry::boxes::Aabb;
+use crate::scene::Camera;
+pub use camera::Orbit;
+pub use candidates::{GlobalView, Subjects};
+pub use close_up::close_ups;
+pub use collage::{Collage, Shot, mosaic};
+pub use directions::DirectionWord;
+use image::{Pixel, Rgb, RgbImage};
+pub use jpeg::jpeg;
+pub use overlay::{BoxStyle, LabelledBox};
+pub use render_scene::RenderScene;
+
+const BACKGROUND: Rgb<u8> = Rgb([250, 250, 250]);
+/// How a whole room is shown: from the south, well above. Left is -X, right is +X, the far wall +Y.
+pub const ROOM_VIEW: Orbit = Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 35.0 };
+
+/// A frame with the cloud's colours laid over it, half transparent. `camera` is the frame's own.
+#[must_use]
+pub fn frame_overlay(frame: &RgbImage, camera: &Camera, render_scene: &RenderScene) -> RgbImage {
+    let mut picture = frame.clone();
+    for (under, over) in picture.pixels_mut().zip(render_scene.drawn_with_ceiling(camera).picture.pixels()) {
+        let [r, g, b, alpha] = over.0;
+        if alpha > 0 {
+            under.0 = [u8::midpoint(under.0[0], r), u8::midpoint(under.0[1], g), u8::midpoint(under.0[2], b)];
+        }
+    }
+    picture
+}
+
+/// Draws the scene from an orbit camera with boxes on top.
+#[must_use]
+pub fn scene_picture(render_scene: &RenderScene, extent: &Aabb, orbit: &Orbit, boxes: &[LabelledBox]) -> RgbImage {
+    let camera = orbit.camera(extent);
+    let drawn = render_scene.drawn(&camera);
+    let mut picture = RgbImage::from_pixel(orbit.width, orbit.height, BACKGROUND);
+    for (under, over) in picture.pixels_mut().zip(drawn.picture.pixels()).filter(|(_, over)| over.0[3] > 0) {
+        *under = over.to_rgb();
+    }
+    overlay::draw(&mut picture, &drawn, &camera, boxes, Vec::new());
+    picture
+}

@@ -1,0 +1,193 @@
+//! What instances look like, as vectors beside which words can be laid.
+
+use super::npy;
+use half::f16;
+use half::slice::HalfFloatSliceExt;
+use multiversion::multiversion;
+use rayon::prelude::*;
+use std::io::{self, Write};
+
+/// One row per instance, in order of id; stored as half floats, which changes a cosine by less than a thousandth.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Embeddings {
+    dim: usize,
+    /// Unit length, or zero for an instance that no frame shows.
+    rows: Vec<f16>,
+    norms: Vec<Norms>,
+}
+
+/// What calibrates the fit of words to an instance: logarithms of sums over a vocabulary.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub struct Norms {
+    /// Of appearance alone.
+    pub appearance: f32,
+    /// Of appearance and measures together.
+    pub joint: f32,
+}
+
+/// Rows looked through by one thread at a time.
+const ROWS_PER_TASK: usize = 4096;
+
+impl Embeddings {
+    /// `rows` holds one vector of length `dim` per instance.
+    #[must_use]
+    pub fn new(dim: usize, rows: &[f32]) -> Self {
+        let mut halves = vec![f16::ZERO; rows.len()];
+        halves.convert_from_f32_slice(rows);
+        Self { dim, rows: halves, norms: vec![Norms::default(); rows.len() / dim] }
+    }
+
+    /// The same with what calibrates fits, one for each instance.
+    #[must_use]
+    pub fn with_norms(self, norms: Vec<Norms>) -> Self {
+        Self { norms, ..self }
+    }
+
+    /// Length of a row.
+    #[must_use]
+    pub fn dim(&self) -> usize {
+        self.dim
+    }
+
+    /// Number of instances, those no frame shows included.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.rows.len() / self.dim
+    }
+
+    /// Whether there are no instances.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    /// Whether the instance at this index was seen at all.
+    #[must_use]
+    pub fn is_seen(&self, index: usize) -> bool {
+        self.rows[index * self.dim..(index + 1) * self.dim].iter().any(|v| *v != f16::ZERO)
+    }
+
+    /// One for each instance, in order of id; all 0 until [`with_norms`](Self::with_norms).
+    #[must_use]
+    pub fn norms(&self) -> &[Norms] {
+        &self.norms
+    }
+
+    /// The vectors as a numpy array of half floats, one row per instance.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn write_rows(&self, out: impl Write) -> io::Result<()> {
+        let bits: &[u16] = self.rows.reinterpret_cast();
+        npy::write(out, "<f2", [self.len(), self.dim], bits.iter().flat_map(|v| v.to_le_bytes()))
+    }
+
+    /// What calibrates fits as a numpy array of floats: appearance alone, and with measures.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn write_norms(&self, out: impl Write) -> io::Result<()> {
+        let values = self.norms.iter().flat_map(|n| [n.appearance, n.joint]);
+        npy::write(out, "<f4", [self.len(), 2], values.flat_map(f32::to_le_bytes))
+    }
+
+    /// Reads back what was written.
+    ///
+    /// # Errors
+    /// Files that are no such arrays, or do not belong together.
+    pub fn read(rows: &[u8], norms: &[u8]) -> io::Result<Self> {
+        let ([count, dim], rows) = npy::read(rows, "<f2")?;
+        let ([normed, two], norms) = npy::read(norms, "<f4")?;
+        if two != 2 || normed != count || dim == 0 {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "embeddings and their norms do not belong together"));
+        }
+        let rows = rows.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
+        let values: Vec<f32> = norms.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
+        let norms = values.as_chunks::<2>().0.iter().map(|&[appearance, joint]| Norms { appearance, joint }).collect();
+        Ok(Self { dim, rows, norms })
+    }
+
+    /// Cosine of every instance with a unit vector, by index; exact, and the same on every machine.
+    ///
+    /// # Panics
+    /// When `query` has another dimension.
+    #[must_use]
+    pub fn cosines(&self, query: &[f32]) -> Vec<f32> {
+        assert_eq!(query.len(), self.dim);
+        let rows: &[u16] = self.rows.reinterpret_cast();
+        let mut cosines = vec![0.0; self.len()];
+        let tasks = cosines.par_chunks_mut(ROWS_PER_TASK).zip(rows.par_chunks(ROWS_PER_TASK * self.dim));
+        tasks.for_each(|(cosines, rows)| dots(rows, query, cosines));
+        cosines
+    }
+}
+
+/// Dot products of rows with a query. Lanes are added in one order whatever the machine's vectors are, and nothing is contracted: same bits
+/// everywhere.
+#[multiversion(targets("x86_64+avx512f+avx512bw+avx512vl", "x86_64+avx2", "aarch64+neon"))]
+fn dots(rows: &[u16], query: &[f32], sums: &mut [f32]) {
+    const LANES: usize = 64;
+    for (sum, row) in sums.iter_mut().zip(rows.chunks_exact(query.len())) {
+        let (row, row_rest) = row.as_chunks::<LANES>();
+        let (query, query_rest) = query.as_chunks::<LANES>();
+        let mut lanes = [0.0_f32; LANES];
+        for (a, b) in row.iter().zip(query) {
+            for i in 0..LANES {
+                lanes[i] += widened(a[i]) * b[i];
+            }
+        }
+        *sum = lanes.iter().sum::<f32>() + row_rest.iter().zip(query_rest).map(|(a, b)| widened(*a) * b).sum::<f32>();
+    }
+}
+
+/// A finite half float as a float, in arithmetic that vectorises: the exponent is shifted into place and rebased.
+#[inline]
+fn widened(bits: u16) -> f32 {
+    const REBASE: f32 = f32::from_bits(0x7780_0000);
+    f32::from_bits((u32::from(bits) & 0x8000) << 16 | (u32::from(bits) & 0x7fff) << 13) * REBASE
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn some(count: usize, dim: usize) -> Embeddings {
+        let rows: Vec<f32> = (0..count * dim).map(|i| ((i * 37 % 101) as f32 / 50.0 - 1.0) / (dim as f32).sqrt()).collect();
+        let norms = (0..count).map(|i| Norms { appearance: i as f32, joint: -0.5 * i as f32 }).collect();
+        Embeddings::new(dim, &rows).with_norms(norms)
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let embeddings = some(7, 70);
+        let (mut rows, mut norms) = (Vec::new(), Vec::new());
+        embeddings.write_rows(&mut rows).unwrap();
+        embeddings.write_norms(&mut norms).unwrap();
+        assert_eq!(Embeddings::read(&rows, &norms).unwrap(), embeddings);
+        assert!(Embeddings::read(&norms, &rows).is_err());
+        assert!(Embeddings::read(&rows[..rows.len() - 1], &norms).is_err());
+        assert!(Embeddings::read(&rows, &norms[..90]).is_err());
+    }
+
+    #[test]
+    fn cosines_are_those_of_the_halves() {
+        let embeddings = some(300, 130);
+        let query: Vec<f32> = (0..130).map(|i| (i % 13) as f32 / 40.0).collect();
+        for (i, cosine) in embeddings.cosines(&query).into_iter().enumerate() {
+            let row = &embeddings.rows[i * 130..(i + 1) * 130];
+            let expected: f64 = row.iter().zip(&query).map(|(a, b)| f64::from(a.to_f32()) * f64::from(*b)).sum();
+            assert!((f64::from(cosine) - expected).abs() < 1e-5, "{i}");
+        }
+        assert!(embeddings.is_seen(0) && !Embeddings::new(3, &[0.0; 6]).is_seen(1));
+    }
+
+    proptest! {
+        #[test]
+        fn a_half_is_widened_exactly(value in -70000.0_f32..70000.0) {
+            let half = f16::from_f32(value);
+            prop_assume!(half.is_finite());
+            prop_assert_eq!(widened(half.to_bits()), half.to_f32());
+        }
+    }
+}

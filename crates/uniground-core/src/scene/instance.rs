@@ -1,0 +1,53 @@
+//! Class-agnostic object instances (paper: Global Candidate Filtering).
+
+use super::{InstanceId, NameGuess, Structure, Support, View};
+use crate::geometry::boxes::{Aabb, OrientedBox};
+use crate::geometry::colour::ColourHistogram;
+use serde::{Deserialize, Serialize};
+
+/// One object candidate. Lengths in metres, world frame (Z up).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Instance {
+    /// Counted from 1, in falling order of points.
+    pub id: InstanceId,
+    /// Axis-aligned box of the robust bounds: stray points do not stretch it.
+    pub aabb: Aabb,
+    /// Axis-aligned box of every point.
+    pub raw_box: Aabb,
+    /// Box of the robust bounds, turned about Z so that its footprint is smallest.
+    pub oriented_box: OrientedBox,
+    /// All its points, strays included.
+    pub point_count: u32,
+    /// Mean 8-bit sRGB.
+    pub mean_rgb: [u8; 3],
+    /// Shares of the colour names among its points.
+    pub colours: ColourHistogram,
+    /// Share of the points within 3 cm of the best plane, `0..=1`.
+    pub planarity: f32,
+    /// Floor, ceiling or wall; `None` for an object.
+    pub structure: Option<Structure>,
+    /// What it rests on or hangs at.
+    pub support: Support,
+    /// Height of the lowest robust point above the floor.
+    pub height_above_floor_m: f32,
+    /// Best views first; empty for a scan without frames.
+    pub views: Vec<View>,
+    /// Best names first; empty when the encoder has no opinion.
+    pub names: Vec<NameGuess>,
+    /// What somebody who has seen it calls it; trumps what the encoder makes of its measures.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub given_name: Option<String>,
+}
+
+impl Instance {
+    /// What to call it when talking to people: its given name, its structure, its best name, or just "object".
+    #[must_use]
+    pub fn label(&self) -> &str {
+        match (&self.given_name, self.structure, self.names.first()) {
+            (Some(name), _, _) => name,
+            (None, Some(structure), _) => structure.word(),
+            (None, None, Some(guess)) => &guess.name,
+            (None, None, None) => "object",
+        }
+    }
+}

@@ -1,0 +1,26 @@
+//! The vocabulary of a scan: clouds, cameras, frames, instances. Everything above speaks in these types.
+//!
+//! Canonical inside: metres, right-handed world with Z up, OpenCV cameras (x right, y down, z forward),
+//! poses are camera-to-world. [`ingest`](crate::ingest) converts once; nobody swaps axes again.
+
+mod bundle;
+mod camera;
+mod cloud;
+mod embeddings;
+mod export;
+mod frame;
+mod instance;
+mod npy;
+mod parsed;
+
+pub use bundle::SceneBundle;
+pub use camera::{Camera, Intrinsics, Pixel};
+pub use cloud::PointCloud;
+pub use embeddings::{Embeddings, Norms};
+pub use export::{id_colour, write_cloud_ply, write_instances_ply};
+pub use frame::{DepthImage, Frame, FrameError, FrameRef, stream_frames};
+pub use instance::Instance;
+pub use parsed::ParsedScene;
+pub use uniground_types::scene::{
+    FrameIndex, ImportReport, InstanceId, NameGuess, ParseReport, PoseConvention, StageReport, Structure, Support, View,
+};

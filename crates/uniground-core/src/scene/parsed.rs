@@ -1,0 +1,23 @@
+//! The result of stage 1: a scene cut into instances.
+
+use super::{Embeddings, Instance, InstanceId, ParseReport, PointCloud};
+use crate::geometry::boxes::Aabb;
+
+/// A parsed scene: every point belongs to exactly one instance.
+#[derive(Debug, Clone)]
+pub struct ParsedScene {
+    /// The points of the import, in its order.
+    pub cloud: PointCloud,
+    /// Instance of each point of `cloud`.
+    pub instance_of_point: Vec<InstanceId>,
+    /// Superpoint of each point, numbered from 0.
+    pub superpoint_of_point: Vec<u32>,
+    /// In order of id.
+    pub instances: Vec<Instance>,
+    /// What the instances look like, where an encoder has seen them.
+    pub embeddings: Option<Embeddings>,
+    /// Axis-aligned box of all points, metres, world frame.
+    pub extent: Aabb,
+    /// What each step did and took, and what is odd.
+    pub report: ParseReport,
+}

@@ -1,0 +1,138 @@
+//! Evidence pictures: for every view a tight crop and the full frame with a red box (paper: candidate visual evidence).
+
+use super::ParseError;
+use crate::progress::Progress;
+use crate::render::jpeg;
+use crate::scene::{FrameRef, Instance, InstanceId, View, stream_frames};
+use image::{Rgb, RgbImage, imageops};
+
+/// Which of the two pictures of a view.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Picture {
+    /// The tight box and 10 % around it.
+    Crop,
+    /// The whole photograph, with a red box around the instance.
+    Frame,
+}
+
+/// One encoded picture.
+pub struct EvidencePicture {
+    /// Whose picture it is.
+    pub instance: InstanceId,
+    /// Position in [`Instance::views`].
+    pub view: usize,
+    /// Crop or whole frame.
+    pub picture: Picture,
+    /// The encoded file.
+    pub jpeg: Vec<u8>,
+}
+
+const RED: Rgb<u8> = Rgb([230, 20, 20]);
+/// A crop grows the tight box by this share of its width and height per side, so that the object is not cut at its rim.
+const CROP_MARGIN: f32 = 0.1;
+
+/// Instance, position among its views, and the view itself.
+type WantedView<'a> = (InstanceId, usize, &'a View);
+
+/// Renders the evidence of all instances, frame by frame, and hands each picture to `keep`.
+///
+/// # Errors
+/// [`ParseError`] for unreadable frames and cancellation, or whatever `keep` fails with.
+pub fn render<E: From<ParseError> + Send>(
+    frames: &[FrameRef],
+    instances: &[Instance],
+    progress: &Progress,
+    mut keep: impl FnMut(EvidencePicture) -> Result<(), E>,
+) -> Result<(), E> {
+    let wanted: Vec<(&FrameRef, Vec<WantedView>)> = frames
+        .iter()
+        .map(|frame| {
+            let views = instances.iter().flat_map(|i| i.views.iter().enumerate().map(|(k, view)| (i.id, k, view)));
+            (frame, views.filter(|(_, _, view)| view.frame == frame.index).collect::<Vec<_>>())
+        })
+        .filter(|(_, views)| !views.is_empty())
+        .collect();
+    let refs: Vec<FrameRef> = wanted.iter().map(|(frame, _)| (*frame).clone()).collect();
+    let views_of = |frame: &FrameRef| wanted.iter().find(|(f, _)| f.index == frame.index).map_or(&[][..], |(_, views)| views);
+    stream_frames(
+        &refs,
+        |frame| {
+            progress.check().map_err(ParseError::from)?;
+            let colour = frame.decode_colour().map_err(ParseError::from)?;
+            Ok(views_of(frame).iter().flat_map(|&(id, k, view)| pictures(&colour, id, k, view)).collect::<Vec<_>>())
+        },
+        |i, pictures: Vec<EvidencePicture>| {
+            progress.report("evidence", i as f32 / refs.len() as f32).map_err(ParseError::from)?;
+            pictures.into_iter().try_for_each(&mut keep)
+        },
+    )
+}
+
+/// What a view shows of an instance, with a little around it.
+#[must_use]
+pub fn crop(colour: &RgbImage, seen: &View) -> RgbImage {
+    let [left, top, right, bottom] = seen.box_px;
+    let margin = |length: u32| (length as f32 * CROP_MARGIN) as u32;
+    let (mx, my) = (margin(right - left), margin(bottom - top));
+    let (x, y) = (left.saturating_sub(mx), top.saturating_sub(my));
+    let (x2, y2) = ((right + mx).min(colour.width()), (bottom + my).min(colour.height()));
+    imageops::crop_imm(colour, x, y, (x2 - x).max(1), (y2 - y).max(1)).to_image()
+}
+
+fn pictures(colour: &RgbImage, instance: InstanceId, view: usize, seen: &View) -> [EvidencePicture; 2] {
+    let crop = crop(colour, seen);
+    let mut boxed = colour.clone();
+    draw_box(&mut boxed, seen.box_px);
+    let picture = |picture, image: &RgbImage| EvidencePicture { instance, view, picture, jpeg: jpeg(image) };
+    [picture(Picture::Crop, &crop), picture(Picture::Frame, &boxed)]
+}
+
+/// A red outline just outside the box, three pixels wide, clipped to the picture.
+fn draw_box(image: &mut RgbImage, [left, top, right, bottom]: [u32; 4]) {
+    const WIDTH: i64 = 3;
+    let (w, h) = (i64::from(image.width()), i64::from(image.height()));
+    let [l, t, r, b] = [left, top, right, bottom].map(i64::from);
+    let mut put = |x: i64, y: i64| {
+        if (0..w).contains(&x) && (0..h).contains(&y) {
+            image.put_pixel(x as u32, y as u32, RED);
+        }
+    };
+    for k in 1..=WIDTH {
+        for x in l - k..r + k {
+            // At the picture's rim the outline moves inside, so that it stays visible.
+            put(x, (t - k).max(WIDTH - k));
+            put(x, (b - 1 + k).min(h - 1 - (WIDTH - k)));
+        }
+        for y in t - k..b + k {
+            put((l - k).max(WIDTH - k), y);
+            put((r - 1 + k).min(w - 1 - (WIDTH - k)), y);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::FrameIndex;
+
+    #[test]
+    fn the_frame_has_a_red_box_around_the_object_and_the_crop_has_none() {
+        let colour = RgbImage::from_pixel(100, 80, Rgb([90, 90, 90]));
+        let seen = View { frame: FrameIndex(0), visible_points: 9, box_px: [40, 30, 60, 50] };
+        let [crop, frame] = pictures(&colour, InstanceId(1), 0, &seen);
+        let decoded = |p: &EvidencePicture| image::load_from_memory(&p.jpeg).unwrap().into_rgb8();
+        let (crop, frame) = (decoded(&crop), decoded(&frame));
+        assert_eq!((crop.dimensions(), frame.dimensions()), ((24, 24), (100, 80)));
+        let reddish = |p: &Rgb<u8>| p.0[0] > 150 && p.0[1] < 110;
+        assert!(reddish(frame.get_pixel(38, 40)) && reddish(frame.get_pixel(50, 28)) && !reddish(frame.get_pixel(50, 40)));
+        assert!(crop.pixels().all(|p| !reddish(p)));
+    }
+
+    #[test]
+    fn a_box_at_the_rim_stays_visible() {
+        let mut image = RgbImage::new(20, 20);
+        draw_box(&mut image, [0, 0, 20, 20]);
+        assert_eq!((*image.get_pixel(0, 10), *image.get_pixel(19, 10)), (RED, RED));
+        assert_ne!(*image.get_pixel(10, 10), RED);
+    }
+}

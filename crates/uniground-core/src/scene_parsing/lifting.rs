@@ -1,0 +1,189 @@
+//! Lifting: what each frame sees of each superpoint, and in which masks.
+//!
+//! Frames arrive one at a time and leave a sparse table behind: memory is (superpoints seen) x (masks they touch) per frame,
+//! never points x frames.
+
+use super::ParseError;
+use super::checkpoints::Log;
+use super::masks::{IdImage, MaskSource};
+use crate::progress::Progress;
+use crate::scene::{Frame, FrameIndex, FrameRef, PointCloud, stream_frames};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// What one frame sees. Rows are sorted by superpoint.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrameVisibility {
+    /// The frame looked into.
+    pub frame: FrameIndex,
+    /// How many masks the frame has.
+    pub masks: u32,
+    /// One per superpoint it sees; empty when it sees no point of the cloud.
+    pub rows: Vec<VisibleSuperpoint>,
+}
+
+/// One superpoint in one frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct VisibleSuperpoint {
+    /// Its number, from 0; that of a region after [`coarsen`].
+    pub superpoint: u32,
+    /// Points of the superpoint this frame sees.
+    pub visible: u32,
+    /// Visible points per mask, sorted by mask id; points under no mask are not listed.
+    pub masks: Vec<(u16, u32)>,
+}
+
+/// A labelled cloud, and how a frame sees it.
+pub struct Lifting<'a> {
+    /// Points, metres, world frame (Z up).
+    pub cloud: &'a PointCloud,
+    /// One superpoint, numbered from 0, per point of the cloud.
+    pub superpoint_of_point: &'a [u32],
+    /// Who cuts a frame into masks.
+    pub masks: &'a dyn MaskSource,
+    /// See [`lift`].
+    pub depth_tolerance: f32,
+}
+
+impl Lifting<'_> {
+    /// The tables of all frames, in order. Frames kept in `log` are not looked at again; the flag tells whether that was all.
+    ///
+    /// # Errors
+    /// [`ParseError`]: an unreadable frame, or cancellation.
+    pub fn all(
+        &self,
+        frames: &[FrameRef],
+        mut log: Log<FrameVisibility>,
+        progress: &Progress,
+    ) -> Result<(Vec<FrameVisibility>, bool), ParseError> {
+        let mut tables = log.kept();
+        let kept = tables.iter().zip(frames).take_while(|(table, frame)| table.frame == frame.index).count();
+        tables.truncate(kept);
+        log.forget_after(kept);
+        stream_frames(
+            &frames[kept..],
+            |frame| {
+                progress.check()?;
+                let frame = frame.decode()?;
+                let ids = self.masks.masks(&frame, progress)?;
+                Ok::<_, ParseError>(lift(self.cloud, self.superpoint_of_point, &frame, &ids, self.depth_tolerance))
+            },
+            |i, table| {
+                log.append(&table);
+                tables.push(table);
+                Ok(progress.report("masks_and_lifting", (kept + i + 1) as f32 / frames.len() as f32)?)
+            },
+        )?;
+        Ok((tables, kept > 0 && kept == frames.len()))
+    }
+}
+
+/// Looks up every point in one frame (paper: visible when it projects inside, in front, and fits the measured depth).
+///
+/// `depth_tolerance` is relative: `|z - d| <= tolerance * d`. A hole in the depth is unknown, hence not visible.
+#[must_use]
+pub fn lift(cloud: &PointCloud, superpoint_of_point: &[u32], frame: &Frame, masks: &IdImage, depth_tolerance: f32) -> FrameVisibility {
+    let mut hits: Vec<(u32, u16)> = cloud
+        .positions
+        .par_iter()
+        .with_min_len(1 << 14)
+        .zip(superpoint_of_point)
+        .filter_map(|(p, &superpoint)| {
+            let pixel = frame.depth_camera.project(p)?;
+            let cell = pixel.cell();
+            let depth_m = frame.depth.at(cell);
+            (depth_m > 0.0 && (pixel.z_m - depth_m).abs() <= depth_tolerance * depth_m).then(|| (superpoint, masks.at(cell)))
+        })
+        .collect();
+    hits.sort_unstable();
+    let rows = hits
+        .chunk_by(|a, b| a.0 == b.0)
+        .map(|of_superpoint| VisibleSuperpoint {
+            superpoint: of_superpoint[0].0,
+            visible: of_superpoint.len() as u32,
+            masks: of_superpoint
+                .chunk_by(|a, b| a.1 == b.1)
+                .filter(|of_mask| of_mask[0].1 != 0)
+                .map(|of_mask| (of_mask[0].1, of_mask.len() as u32))
+                .collect(),
+        })
+        .collect();
+    FrameVisibility { frame: frame.index, masks: masks.count(), rows }
+}
+
+/// The same table for coarser primitives: `region_of[superpoint]` replaces superpoints.
+#[must_use]
+pub fn coarsen(table: &FrameVisibility, region_of: &[u32]) -> FrameVisibility {
+    let mut rows: Vec<VisibleSuperpoint> = table
+        .rows
+        .iter()
+        .map(|row| VisibleSuperpoint { superpoint: region_of[row.superpoint as usize], ..row.clone() })
+        .collect();
+    rows.sort_by_key(|row| row.superpoint);
+    let rows = rows
+        .chunk_by(|a, b| a.superpoint == b.superpoint)
+        .map(|parts| {
+            let mut masks: Vec<(u16, u32)> = parts.iter().flat_map(|p| p.masks.iter().copied()).collect();
+            masks.sort_unstable();
+            VisibleSuperpoint {
+                superpoint: parts[0].superpoint,
+                visible: parts.iter().map(|p| p.visible).sum(),
+                masks: masks.chunk_by(|a, b| a.0 == b.0).map(|same| (same[0].0, same.iter().map(|m| m.1).sum())).collect(),
+            }
+        })
+        .collect();
+    FrameVisibility { frame: table.frame, masks: table.masks, rows }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Isometry3, Point3};
+    use crate::scene::{Camera, DepthImage, Intrinsics};
+
+    /// A 4x4 camera at the origin looking along +Z at a wall two metres away, with a hole in the last row.
+    fn frame() -> Frame {
+        let intrinsics = Intrinsics { width: 4, height: 4, fx: 4.0, fy: 4.0, cx: 1.5, cy: 1.5 };
+        let camera = Camera::new(intrinsics, &Isometry3::identity());
+        let depth_m = (0..16).map(|i| if i < 12 { 2.0 } else { 0.0 }).collect();
+        Frame {
+            index: FrameIndex(0),
+            colour: image::RgbImage::new(4, 4),
+            depth: DepthImage { width: 4, height: 4, depth_m },
+            colour_camera: camera,
+            depth_camera: camera,
+        }
+    }
+
+    #[test]
+    fn occluded_points_holes_and_points_outside_are_not_visible() {
+        let frame = frame();
+        let at = |u: f32, v: f32, z: f32| frame.depth_camera.intrinsics.unproject(u, v, z);
+        let cloud = PointCloud {
+            positions: vec![
+                at(0.0, 0.0, 2.0),
+                at(1.0, 0.0, 2.05),
+                at(2.0, 0.0, 3.0),
+                at(3.0, 3.0, 2.0),
+                Point3::new(9.0, 0.0, 2.0),
+                Point3::new(0.0, 0.0, -2.0),
+            ],
+            colours: vec![[0; 3]; 6],
+        };
+        let masks = IdImage { width: 4, height: 4, ids: (0..16).map(|i| u16::from(i != 1) * 7).collect() };
+        let table = lift(&cloud, &[5, 5, 5, 5, 5, 5], &frame, &masks, 0.05);
+        assert_eq!(table.rows, [VisibleSuperpoint { superpoint: 5, visible: 2, masks: vec![(7, 1)] }]);
+    }
+
+    #[test]
+    fn coarsening_adds_up() {
+        let row = |superpoint, visible, masks: &[(u16, u32)]| VisibleSuperpoint { superpoint, visible, masks: masks.to_vec() };
+        let table = FrameVisibility {
+            frame: FrameIndex(0),
+            masks: 2,
+            rows: vec![row(0, 3, &[(1, 3)]), row(1, 4, &[(2, 4)]), row(2, 5, &[(1, 2), (2, 3)])],
+        };
+        let coarse = coarsen(&table, &[1, 0, 1]);
+        assert_eq!(coarse.rows, [row(0, 4, &[(2, 4)]), row(1, 8, &[(1, 5), (2, 3)])]);
+    }
+}

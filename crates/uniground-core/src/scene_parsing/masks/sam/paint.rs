@@ -1,0 +1,60 @@
+//! Masks to one id image on the depth grid.
+
+use super::super::IdImage;
+use super::{Candidate, GRID, MaskOrder, SamSettings};
+use crate::models::neural::{LowMask, Segmenter};
+use crate::scene::Frame;
+
+/// Paints masks over each other, in the order of the settings. Ids count from 1 in that order.
+pub(super) fn paint(mut masks: Vec<Candidate>, segmenter: &Segmenter, settings: &SamSettings, frame: &Frame) -> IdImage {
+    // So far below the threshold that the border stays where it is.
+    const OUTSIDE: f32 = -1e3;
+    let threshold = segmenter.threshold();
+    match settings.order {
+        MaskOrder::AscendingQuality => masks.reverse(),
+        MaskOrder::LargerFirst => masks.sort_by_key(|mask| std::cmp::Reverse(mask.area)),
+    }
+    let (width, height) = (frame.depth.width, frame.depth.height);
+    let mut ids = vec![0; (width * height) as usize];
+    // Where each column and row of the depth image lies in the colour picture.
+    let columns: Vec<f32> = (0..width).map(|u| frame.colour_position(u as f32, 0.0).0).collect();
+    let rows: Vec<f32> = (0..height).map(|v| frame.colour_position(0.0, v as f32).1).collect();
+    let mut low = LowMask { logits: vec![OUTSIDE; segmenter.mask_size().pow(2)], predicted_iou: 0.0, index: 0 };
+    for (id, mask) in (1..=u16::MAX).zip(&masks) {
+        mask.patch.spread(threshold + OUTSIDE, &mut low.logits);
+        let (colour_width, colour_height) = frame.colour.dimensions();
+        let [left, top, right, bottom] = bounds(mask, colour_width, colour_height);
+        for (v, y) in rows.iter().enumerate().filter(|(_, y)| (top..=bottom).contains(*y)) {
+            for (u, x) in columns.iter().enumerate().filter(|(_, x)| (left..=right).contains(*x)) {
+                let at = (x - mask.window.left as f32, y - mask.window.top as f32);
+                if low.at(at, mask.window.scale) > threshold {
+                    ids[v * width as usize + u] = id;
+                }
+            }
+        }
+    }
+    IdImage { width, height, ids }
+}
+
+/// Left, top, right and bottom of a mask in picture pixels, two cells wider than it is on every side, within its window.
+fn bounds(mask: &Candidate, width: u32, height: u32) -> [f32; 4] {
+    let (mut low, mut high) = ([GRID; 2], [0; 2]);
+    for (i, word) in mask.cells.iter().enumerate().filter(|(_, word)| **word != 0) {
+        for bit in (0..64).filter(|bit| word >> bit & 1 == 1) {
+            let cell = i * 64 + bit;
+            for (axis, at) in [cell % GRID, cell / GRID].into_iter().enumerate() {
+                low[axis] = low[axis].min(at);
+                high[axis] = high[axis].max(at);
+            }
+        }
+    }
+    let pixel = |cell: f32, length: u32| cell * length as f32 / GRID as f32;
+    let inside = |v: f32, start: u32, reach: u32| v.clamp(start as f32 - 0.5, (start + reach) as f32 - 0.5);
+    let w = mask.window;
+    [
+        inside(pixel(low[0] as f32 - 2.0, width), w.left, w.width),
+        inside(pixel(low[1] as f32 - 2.0, height), w.top, w.height),
+        inside(pixel(high[0] as f32 + 3.0, width), w.left, w.width),
+        inside(pixel(high[1] as f32 + 3.0, height), w.top, w.height),
+    ]
+}

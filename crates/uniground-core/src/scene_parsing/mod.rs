@@ -1,0 +1,213 @@
+//! Stage 1, Global Candidate Filtering: a [`SceneBundle`] to a [`ParsedScene`] (paper, section 3.2; docs/METHOD.md, section 1).
+//!
+//! ```text
+//! cloud  -> superpoints ─┐
+//! frames -> masks -> lifting -> affinity -> merging -> part merging -> instances -> views -> appearance -> names
+//! ```
+//! Frames pass twice, decoded a few at a time: once for masks and lifting, once for the views; where networks take part, the chosen
+//! views pass once more. Same input and settings give the same instances, whatever the number of threads.
+
+pub mod affinity;
+pub mod appearance;
+pub mod checkpoints;
+pub mod correction;
+pub mod evidence;
+mod frame_sampling;
+pub mod instances;
+pub mod lifting;
+pub mod masks;
+pub mod merging;
+pub mod part_merging;
+pub mod report_pictures;
+mod stopwatch;
+pub mod superpoints;
+pub mod views;
+
+use crate::geometry::boxes::Aabb;
+use crate::models::neural::{DualEncoder, ModelError};
+use crate::models::{attributes, calibration};
+use crate::progress::{Cancelled, Progress};
+use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle, stream_frames};
+use appearance::Labelled;
+use checkpoints::Checkpoints;
+use correction::Corrector;
+use lifting::Lifting;
+use masks::MaskSource;
+pub use stopwatch::{StageOutcome, Stopwatch};
+pub use uniground_types::settings::ParsingSettings;
+
+/// Why a scene could not be cut into instances.
+#[derive(Debug, thiserror::Error)]
+pub enum ParseError {
+    /// A picture of a frame can not be read.
+    #[error(transparent)]
+    Frame(#[from] FrameError),
+    /// A segmenter or encoder failed.
+    #[error(transparent)]
+    Model(#[from] ModelError),
+    /// There is nothing to cut.
+    #[error("the cloud has no points")]
+    NoPoints,
+    /// The caller asked to stop.
+    #[error(transparent)]
+    Cancelled(#[from] Cancelled),
+}
+
+/// What looks at pictures.
+pub struct Perception<'a> {
+    /// Who cuts frames into masks.
+    pub masks: &'a dyn MaskSource,
+    /// A segmenter to be asked about single instances; `None`: projected boxes stand.
+    pub corrector: Option<Corrector<'a>>,
+    /// A model that compares pictures and words; `None`: the built-in attributes name instances.
+    pub encoder: Option<&'a DualEncoder>,
+}
+
+impl<'a> Perception<'a> {
+    /// Masks from this source, names from the built-in attributes, no correction.
+    #[must_use]
+    pub fn with_masks(masks: &'a dyn MaskSource) -> Self {
+        Self { masks, corrector: None, encoder: None }
+    }
+
+    fn is_neural(&self) -> bool {
+        self.corrector.is_some() || self.encoder.is_some()
+    }
+
+    /// Where stages end, as shares of the whole: superpoints, masks, merging, part merging, instances, views; appearance comes last and
+    /// ends at 1. Where networks take part they take nearly all of the time. The time left is estimated from these.
+    fn ends(&self) -> [f32; 6] {
+        match (self.corrector.is_some(), self.encoder.is_some()) {
+            (false, false) => [0.35, 0.75, 0.83, 0.85, 0.88, 1.0],
+            (false, true) => [0.07, 0.15, 0.17, 0.175, 0.18, 0.2],
+            (true, _) => [0.01, 0.7, 0.705, 0.71, 0.715, 0.72],
+        }
+    }
+}
+
+/// Cuts a scene into instances. Stages found in `checkpoints` are taken from there.
+///
+/// # Errors
+/// [`ParseError`]: an unreadable frame (named), an empty cloud, or cancellation.
+pub fn parse(
+    bundle: SceneBundle,
+    perception: &Perception,
+    settings: &ParsingSettings,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+) -> Result<ParsedScene, ParseError> {
+    let SceneBundle { cloud, frames, report: _ } = bundle;
+    let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
+    let frames = frame_sampling::sample(&frames, &settings.frame_sampling);
+    let mut watch = Stopwatch::default();
+    let ends = perception.ends();
+
+    let superpoints = watch.time("superpoints", |outcome| {
+        let compute = || superpoints::compute(&cloud, &settings.superpoints, &progress.part(0.0, ends[0]));
+        let (superpoints, reused) = checkpoints.once("superpoints", &settings.superpoints, compute)?;
+        *outcome = StageOutcome { produced: superpoints.patches.len(), reused };
+        Ok::<_, ParseError>(superpoints)
+    })?;
+    let masks = perception.masks;
+    let mask_settings = (masks.name(), &settings.rgbd_masks, &settings.sam_masks);
+    let lifted_with = (&settings.superpoints, &settings.frame_sampling, mask_settings, settings.depth_tolerance);
+    let tables = watch.time("masks_and_lifting", |outcome| {
+        let lifting =
+            Lifting { cloud: &cloud, superpoint_of_point: &superpoints.of_point, masks, depth_tolerance: settings.depth_tolerance };
+        let (tables, reused) = lifting.all(&frames, checkpoints.log("lifting", &lifted_with), &progress.part(ends[0], ends[1]))?;
+        *outcome = StageOutcome { produced: tables.iter().map(|t| t.masks as usize).sum(), reused };
+        Ok::<_, ParseError>(tables)
+    })?;
+    let blind: Vec<String> = tables.iter().filter(|t| t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
+    let region_of = watch.time("merging", |outcome| {
+        let compute = || merging::merge(&superpoints, tables, &settings.merging, &progress.part(ends[1], ends[2]));
+        let (region_of, reused) = checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
+        *outcome = StageOutcome { produced: count(&region_of), reused };
+        Ok::<_, ParseError>(region_of)
+    })?;
+    let region_of = watch.time("part_merging", |outcome| {
+        let joined = part_merging::join(&cloud, &superpoints, region_of, &settings.part_merging, &progress.part(ends[2], ends[3]))?;
+        outcome.produced = count(&joined);
+        Ok::<_, ParseError>(joined)
+    })?;
+    let (mut instances, instance_of_point) = watch.time("instances", |outcome| {
+        let built = instances::build(&cloud, &superpoints, &region_of, &settings.instances, &progress.part(ends[3], ends[4]))?;
+        outcome.produced = built.0.len();
+        Ok::<_, ParseError>(built)
+    })?;
+
+    let viewing = progress.part(ends[4], ends[5]);
+    let sightings = watch.time("views", |outcome| {
+        let mut sightings = Vec::new();
+        stream_frames(
+            &frames,
+            |frame| {
+                viewing.check()?;
+                Ok::<_, ParseError>(views::sightings(&cloud, &instance_of_point, &frame.decode()?, settings.depth_tolerance))
+            },
+            |i, seen| {
+                sightings.extend(seen);
+                Ok(viewing.report("views", (i + 1) as f32 / frames.len() as f32)?)
+            },
+        )?;
+        outcome.produced = sightings.len();
+        Ok::<_, ParseError>(sightings)
+    })?;
+    let looked_at = appearance::choose(&instances, &sightings, &settings.appearance);
+    views::choose(&mut instances, sightings, &frames, &settings.views);
+    let rows = match perception.is_neural() {
+        false => Vec::new(),
+        true => watch.time("appearance", |outcome| {
+            let labelled = Labelled { cloud: &cloud, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
+            let looking = progress.part(ends[5], 1.0);
+            let (rows, boxes) = appearance::look(
+                &frames,
+                &instances,
+                looked_at,
+                labelled,
+                (perception.corrector.as_ref(), perception.encoder),
+                &settings.appearance,
+                &looking,
+            )?;
+            views::tighten(&mut instances, &boxes);
+            outcome.produced = boxes.values().map(std::collections::BTreeMap::len).sum();
+            Ok::<_, ParseError>(rows)
+        })?,
+    };
+    attributes::name_all(&mut instances);
+    let embeddings = perception
+        .encoder
+        .map(|encoder| calibration::name_all(&mut instances, encoder, &rows))
+        .transpose()?;
+
+    let mut warnings = Vec::new();
+    if frames.is_empty() {
+        warnings.push("the scan has no frames: instances come from geometry and point colour alone and have no pictures".into());
+    }
+    if !blind.is_empty() {
+        warnings.push(format!("{} of {} frames see no point of the cloud: {}", blind.len(), frames.len(), shortened(&blind)));
+    }
+    let report = ParseReport {
+        points: cloud.len() as u64,
+        frames_used: frames.len() as u32,
+        superpoints: superpoints.patches.len() as u32,
+        instances: instances.len() as u32,
+        structural: instances.iter().filter(|i| i.structure.is_some()).count() as u32,
+        without_views: instances.iter().filter(|i| i.views.is_empty()).count() as u32,
+        stages: watch.stages,
+        warnings,
+    };
+    let superpoint_of_point = superpoints.of_point;
+    Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, embeddings, extent, report })
+}
+
+fn shortened(names: &[String]) -> String {
+    const SHOWN: usize = 10;
+    let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
+    if names.len() > SHOWN { format!("{shown}, ...") } else { shown }
+}
+
+/// How many labels `0..n` there are.
+fn count(labels: &[u32]) -> usize {
+    labels.iter().max().map_or(0, |&l| l as usize + 1)
+}

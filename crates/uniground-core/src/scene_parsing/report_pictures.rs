@@ -1,0 +1,75 @@
+//! Pictures of a parse, so that a person can see what went wrong: the cloud by superpoint and by instance, and instances over
+//! a few frames.
+
+use super::ParseError;
+use crate::progress::Progress;
+use crate::render::{ROOM_VIEW, RenderScene, frame_overlay, jpeg, scene_picture};
+use crate::scene::{FrameRef, InstanceId, ParsedScene, PointCloud, id_colour};
+use rayon::prelude::*;
+
+/// One picture of a report.
+pub struct ReportPicture {
+    /// `superpoints`, `instances`, `frame-1`, ...
+    pub name: String,
+    /// What it shows, for people.
+    pub title: String,
+    /// The encoded file.
+    pub jpeg: Vec<u8>,
+}
+
+/// Frames shown.
+const FRAMES: usize = 3;
+const STRUCTURE_GREY: [u8; 3] = [200, 200, 200];
+
+/// Renders the pictures: two of the cloud, and one each of up to three frames spread over the scan.
+///
+/// # Errors
+/// [`ParseError`] for unreadable frames and cancellation.
+pub fn render(scene: &ParsedScene, frames: &[FrameRef], progress: &Progress) -> Result<Vec<ReportPicture>, ParseError> {
+    let by_superpoint = RenderScene::of(recoloured(scene, |i| id_colour(scene.superpoint_of_point[i])));
+    let by_instance = RenderScene::of(recoloured(scene, |i| instance_colour(scene, scene.instance_of_point[i])));
+    let count = FRAMES.min(frames.len());
+    let shown = (0..count).map(|k| &frames[frames.len() * (2 * k + 1) / (2 * count)]);
+    let structural = scene.report.structural;
+    let mut jobs: Vec<(String, String, Subject)> = vec![
+        (
+            "superpoints".into(),
+            format!("The cloud by superpoint ({})", scene.report.superpoints),
+            Subject::Cloud(&by_superpoint),
+        ),
+        (
+            "instances".into(),
+            format!("The cloud by instance ({}, {structural} of them structural and grey)", scene.report.instances),
+            Subject::Cloud(&by_instance),
+        ),
+    ];
+    jobs.extend(shown.enumerate().map(|(k, frame)| {
+        let title = format!("Instances over frame {}", frame.index);
+        (format!("frame-{}", k + 1), title, Subject::Frame(frame))
+    }));
+    jobs.into_par_iter()
+        .map(|(name, title, subject)| {
+            progress.check()?;
+            let picture = match subject {
+                Subject::Cloud(cloud) => scene_picture(cloud, &scene.extent, &ROOM_VIEW, &[]),
+                Subject::Frame(frame) => frame_overlay(&frame.decode_colour()?, &frame.colour_camera(), &by_instance),
+            };
+            Ok(ReportPicture { name, title, jpeg: jpeg(&picture) })
+        })
+        .collect()
+}
+
+enum Subject<'a> {
+    Cloud(&'a RenderScene),
+    Frame(&'a FrameRef),
+}
+
+fn recoloured(scene: &ParsedScene, colour: impl Fn(usize) -> [u8; 3] + Sync + Send) -> PointCloud {
+    let positions = scene.cloud.positions.clone();
+    PointCloud { colours: (0..positions.len()).into_par_iter().map(colour).collect(), positions }
+}
+
+fn instance_colour(scene: &ParsedScene, id: InstanceId) -> [u8; 3] {
+    let structural = scene.instances[id.0 as usize - 1].structure.is_some();
+    if structural { STRUCTURE_GREY } else { id_colour(id.0) }
+}

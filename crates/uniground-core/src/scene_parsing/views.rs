@@ -1,0 +1,138 @@
+//! Evidence views: the frames that show an instance best, from different sides (paper: 3).
+
+use super::appearance::Boxes;
+use crate::geometry::Point3;
+use crate::geometry::statistics::quantile;
+use crate::scene::{Camera, Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View};
+use rayon::prelude::*;
+use uniground_types::settings::ViewSettings;
+
+/// One frame's sight of one instance.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Sighting {
+    /// What is seen.
+    pub instance: InstanceId,
+    /// The frame, how many points it shows, and the box around them.
+    pub view: View,
+}
+
+/// The visible points of every instance this frame shows, sorted by instance, then column and row in its colour picture.
+#[must_use]
+pub fn visible_pixels(
+    cloud: &PointCloud,
+    instance_of_point: &[InstanceId],
+    frame: &Frame,
+    depth_tolerance: f32,
+) -> Vec<(InstanceId, f32, f32)> {
+    let mut hits: Vec<(InstanceId, f32, f32)> = cloud
+        .positions
+        .par_iter()
+        .with_min_len(1 << 14)
+        .zip(instance_of_point)
+        .filter_map(|(p, &instance)| {
+            let seen = frame.depth_camera.project(p)?;
+            let depth_m = frame.depth.at(seen.cell());
+            let visible = depth_m > 0.0 && (seen.z_m - depth_m).abs() <= depth_tolerance * depth_m;
+            let pixel = visible.then(|| frame.colour_camera.project(p)).flatten()?;
+            Some((instance, pixel.u, pixel.v))
+        })
+        .collect();
+    hits.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2)));
+    hits
+}
+
+/// Every instance this frame shows, in order of id.
+///
+/// The box in the picture is robust: the outermost 1 % of the visible points at each side are left out.
+#[must_use]
+pub fn sightings(cloud: &PointCloud, instance_of_point: &[InstanceId], frame: &Frame, depth_tolerance: f32) -> Vec<Sighting> {
+    let hits = visible_pixels(cloud, instance_of_point, frame, depth_tolerance);
+    let (width, height) = frame.colour.dimensions();
+    hits.chunk_by(|a, b| a.0 == b.0)
+        .map(|hits| {
+            let bound =
+                |of: &dyn Fn(&(InstanceId, f32, f32)) -> f32, q| quantile(&mut hits.iter().map(of).collect::<Vec<_>>(), q).unwrap_or(0.0);
+            let (u, v) = (|hit: &(InstanceId, f32, f32)| hit.1, |hit: &(InstanceId, f32, f32)| hit.2);
+            // At least one pixel each way, inside the picture.
+            let span = |of: &dyn Fn(&(InstanceId, f32, f32)) -> f32, len: u32| {
+                let low = bound(of, TRIM).floor().clamp(0.0, len as f32 - 1.0) as u32;
+                (low, (bound(of, 1.0 - TRIM).ceil() as u32).clamp(low + 1, len))
+            };
+            let ((left, right), (top, bottom)) = (span(&u, width), span(&v, height));
+            let box_px = [left, top, right, bottom];
+            Sighting { instance: hits[0].0, view: View { frame: frame.index, visible_points: hits.len() as u32, box_px } }
+        })
+        .collect()
+}
+
+const TRIM: f32 = 0.01;
+
+/// Gives each instance its views: the best first, then the farthest camera centre among those that show it well.
+pub fn choose(instances: &mut [Instance], sightings: Vec<Sighting>, frames: &[FrameRef], settings: &ViewSettings) {
+    let mut per_instance: Vec<Vec<View>> = vec![Vec::new(); instances.len()];
+    for Sighting { instance, view } in sightings {
+        per_instance[instance.0 as usize - 1].push(view);
+    }
+    instances.par_iter_mut().zip(per_instance).for_each(|(instance, seen)| {
+        let center = |frame: FrameIndex| {
+            let at = frames.binary_search_by_key(&frame, |f| f.index);
+            at.map_or_else(|_| Point3::origin(), |i| Camera::center(&frames[i].colour_camera()))
+        };
+        instance.views = spread(seen, settings, center);
+    });
+}
+
+/// Takes over boxes that a segmenter has corrected.
+pub fn tighten(instances: &mut [Instance], boxes: &Boxes) {
+    for instance in instances {
+        for view in &mut instance.views {
+            if let Some(tight) = boxes.get(&view.frame).and_then(|of_frame| of_frame.get(&instance.id)) {
+                view.box_px = *tight;
+            }
+        }
+    }
+}
+
+fn spread(mut seen: Vec<View>, settings: &ViewSettings, center: impl Fn(FrameIndex) -> Point3<f32>) -> Vec<View> {
+    // More covered pixels is better; a larger picture of the same points is too.
+    let covered = |view: &View| {
+        let [left, top, right, bottom] = view.box_px;
+        u64::from(view.visible_points) * u64::from((right.saturating_sub(left)).max(1) * (bottom.saturating_sub(top)).max(1)).isqrt().max(1)
+    };
+    seen.sort_by_key(|view| (std::cmp::Reverse(covered(view)), view.frame));
+    let Some(best) = seen.first().cloned() else { return Vec::new() };
+    let least = covered(&best) as f32 * settings.min_share_of_best;
+    let mut pool: Vec<View> = seen.into_iter().skip(1).filter(|view| covered(view) as f32 >= least).collect();
+    let mut chosen = vec![best];
+    while chosen.len() < settings.count as usize && !pool.is_empty() {
+        let nearest_chosen = |view: &View| {
+            let here = center(view.frame);
+            chosen.iter().map(|c| (center(c.frame) - here).norm()).fold(f32::INFINITY, f32::min)
+        };
+        let farthest = (0..pool.len()).max_by(|&a, &b| nearest_chosen(&pool[a]).total_cmp(&nearest_chosen(&pool[b])).then(b.cmp(&a)));
+        chosen.push(pool.remove(farthest.unwrap_or(0)));
+    }
+    chosen
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn view(frame: u32, visible_points: u32) -> View {
+        View { frame: FrameIndex(frame), visible_points, box_px: [0, 0, 10, 10] }
+    }
+
+    #[test]
+    fn the_best_view_comes_first_and_the_next_from_far_away() {
+        // Cameras stand on a line at x = frame number; frame 9 hardly sees the thing; 0 and 2 are as far from 1, 2 sees more.
+        let seen = vec![view(0, 80), view(1, 100), view(2, 90), view(6, 70), view(9, 10)];
+        let chosen = spread(seen, &ViewSettings::default(), |f| Point3::new(f.0 as f32, 0.0, 0.0));
+        assert_eq!(chosen.iter().map(|v| v.frame.0).collect::<Vec<_>>(), [1, 6, 2]);
+    }
+
+    #[test]
+    fn an_instance_nobody_sees_has_no_views() {
+        assert!(spread(Vec::new(), &ViewSettings::default(), |_| Point3::origin()).is_empty());
+    }
+}

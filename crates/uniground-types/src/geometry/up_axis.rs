@@ -1,0 +1,115 @@
+//! Which way is up in a scan, and the one rotation that makes it Z.
+
+use super::{Isometry3, Matrix3, Vector3};
+use nalgebra::{Rotation3, UnitQuaternion};
+use serde::{Deserialize, Serialize};
+
+/// The world axis that points up in the file; after import it is always `z`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub enum UpAxis {
+    /// +X points up.
+    #[serde(rename = "x")]
+    X,
+    /// -X points up.
+    #[serde(rename = "-x")]
+    NegX,
+    /// +Y points up.
+    #[serde(rename = "y")]
+    Y,
+    /// -Y points up.
+    #[serde(rename = "-y")]
+    NegY,
+    /// +Z points up: nothing has to be turned.
+    #[serde(rename = "z")]
+    Z,
+    /// -Z points up: the scan lies on its head.
+    #[serde(rename = "-z")]
+    NegZ,
+}
+
+impl UpAxis {
+    /// All six, the order in which they are tried.
+    pub const ALL: [Self; 6] = [Self::X, Self::NegX, Self::Y, Self::NegY, Self::Z, Self::NegZ];
+
+    /// As files and requests write it: `x`, `-x` and so on.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::X => "x",
+            Self::NegX => "-x",
+            Self::Y => "y",
+            Self::NegY => "-y",
+            Self::Z => "z",
+            Self::NegZ => "-z",
+        }
+    }
+
+    /// Unit vector that points up in the file's world.
+    #[must_use]
+    pub fn direction(self) -> Vector3<f32> {
+        match self {
+            Self::X => Vector3::x(),
+            Self::NegX => -Vector3::x(),
+            Self::Y => Vector3::y(),
+            Self::NegY => -Vector3::y(),
+            Self::Z => Vector3::z(),
+            Self::NegZ => -Vector3::z(),
+        }
+    }
+
+    /// Rotation from the file's world to the Z-up world: a signed permutation of the axes.
+    ///
+    /// The two Y-up maps are the ones the paper names: `y`: (x,y,z) -> (x,-z,y); `-y`: (x,y,z) -> (x,z,-y).
+    #[must_use]
+    pub fn to_z_up(self) -> Isometry3<f32> {
+        let m = match self {
+            Self::Z => return Isometry3::identity(),
+            Self::NegZ => Matrix3::new(1., 0., 0., 0., -1., 0., 0., 0., -1.),
+            Self::Y => Matrix3::new(1., 0., 0., 0., 0., -1., 0., 1., 0.),
+            Self::NegY => Matrix3::new(1., 0., 0., 0., 0., 1., 0., -1., 0.),
+            Self::X => Matrix3::new(0., 0., -1., 0., 1., 0., 1., 0., 0.),
+            Self::NegX => Matrix3::new(0., 0., 1., 0., 1., 0., -1., 0., 0.),
+        };
+        Isometry3::from_parts(
+            nalgebra::Translation3::identity(),
+            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(m)),
+        )
+    }
+
+    /// The axis most cameras hold upwards: people carry a camera roughly level, so image "up" (-Y of an OpenCV camera),
+    /// averaged over the path, points away from the ground. `None` when no axis clearly wins.
+    #[must_use]
+    pub fn from_cameras(camera_to_world: &[Isometry3<f32>]) -> Option<Self> {
+        let mean: Vector3<f32> = camera_to_world.iter().map(|pose| pose.rotation * -Vector3::y()).sum::<Vector3<f32>>();
+        let mean = mean.try_normalize(1e-3 * camera_to_world.len() as f32)?;
+        Self::ALL.into_iter().find(|axis| axis.direction().dot(&mean) > CLEARLY_UP)
+    }
+}
+
+/// Cosine of 40 degrees: further from an axis than that, the guess is not made.
+const CLEARLY_UP: f32 = 0.766;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_axis_ends_up_as_z() {
+        for axis in UpAxis::ALL {
+            let turned = axis.to_z_up() * axis.direction();
+            assert!((turned - Vector3::z()).norm() < 1e-6, "{axis:?} became {turned:?}");
+        }
+        let p = super::super::Point3::new(1.0, 2.0, 3.0);
+        assert!((UpAxis::Y.to_z_up() * p - super::super::Point3::new(1.0, -3.0, 2.0)).norm() < 1e-5);
+        assert!((UpAxis::NegY.to_z_up() * p - super::super::Point3::new(1.0, 3.0, -2.0)).norm() < 1e-5);
+    }
+
+    #[test]
+    fn level_cameras_tell_up_and_tumbling_ones_do_not() {
+        // An OpenCV camera with identity pose looks along +Z with image-down = +Y: up is -Y.
+        assert_eq!(UpAxis::from_cameras(&[Isometry3::identity()]), Some(UpAxis::NegY));
+        let upside_down = Isometry3::rotation(Vector3::z() * std::f32::consts::PI);
+        assert_eq!(UpAxis::from_cameras(&[Isometry3::identity(), upside_down]), None);
+    }
+}

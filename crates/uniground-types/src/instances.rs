@@ -1,0 +1,66 @@
+//! Objects found in a scene, as callers see them.
+
+use crate::geometry::boxes::{Aabb, OrientedBox};
+use crate::scene::{InstanceId, NameGuess, Structure, Support, View};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// One object candidate. Lengths in metres, world frame (Z up).
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct InstanceView {
+    /// Numbered from 1 within the parse, in falling order of points; another parse numbers anew.
+    pub id: InstanceId,
+    /// What the encoder would call it, without having heard a question.
+    pub label: String,
+    /// Axis-aligned box of the robust bounds.
+    #[serde(rename = "box")]
+    pub aabb: Aabb,
+    /// Axis-aligned box of every point, strays included.
+    pub raw_box: Aabb,
+    /// Box of the robust bounds, turned about the vertical so that its footprint is smallest.
+    pub oriented_box: OrientedBox,
+    /// Points of the cloud that belong to it.
+    pub point_count: u32,
+    /// Mean 8-bit sRGB.
+    pub mean_rgb: [u8; 3],
+    /// Share of the points per colour name, those of 10 % and more.
+    pub colours: BTreeMap<String, f32>,
+    /// Share of the points within 3 cm of the best plane.
+    pub planarity: f32,
+    /// Set for parts of the building.
+    pub structure: Option<Structure>,
+    /// What it stands on or hangs on.
+    pub support: Support,
+    /// Metres from the floor to the bottom of `box`; negative where it reaches below.
+    pub height_above_floor_m: f32,
+    /// Best first, at most five; empty for parts of the building, and where nothing fits.
+    pub names: Vec<NameGuess>,
+    /// What the configured vision-language model calls it, without having heard a question; `null` until it was asked.
+    #[serde(default)]
+    pub model_name: Option<String>,
+    /// Frames that show it best; pictures at `/instances/{id}/views/{k}.jpg`, k from 0.
+    pub views: Vec<View>,
+}
+
+/// One page of a scene's instances.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct InstanceList {
+    /// In order of id.
+    pub instances: Vec<InstanceView>,
+    /// Pass as `cursor` for the next page; `null` on the last.
+    pub next_cursor: Option<u32>,
+}
+
+/// Which picture of a view.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum ViewPicture {
+    /// The full frame with a red box.
+    #[default]
+    Frame,
+    /// A tight crop.
+    Crop,
+}

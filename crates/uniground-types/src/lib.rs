@@ -1,0 +1,20 @@
+//! The values that cross uniground's borders: what is asked, answered, told and set. The service, its client and the pipelines of
+//! `uniground-core` share them; nothing is computed here beyond what a value knows of itself.
+//!
+//! Lengths are metres in a right-handed world with Z up, boxes are centre and full extent. With the feature `openapi` every type
+//! describes itself for an OpenAPI document.
+
+#![warn(missing_docs)]
+
+pub mod answer;
+pub mod geometry;
+pub mod instances;
+pub mod job;
+pub mod models;
+pub mod problem;
+pub mod question;
+pub mod scene;
+pub mod scenes;
+pub mod service;
+pub mod settings;
+pub mod transcript;

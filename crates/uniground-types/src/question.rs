@@ -1,0 +1,268 @@
+//! What may be asked, and how.
+
+use crate::problem::FieldError;
+use serde::{Deserialize, Serialize};
+
+const MAX_QUERY_CHARS: usize = 2000;
+
+const MAX_TOP_K: u32 = 100;
+
+const MAX_TIMEOUT_S: f32 = 3600.0;
+
+/// Who decides.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum ReasonerChoice {
+    /// A vision-language model when one is configured, else the built-in reasoner.
+    #[default]
+    Auto,
+    /// The configured vision-language model; where it can not be asked, the request fails.
+    Vlm,
+    /// Geometry, names and appearance: no call, no cost.
+    Builtin,
+}
+
+/// Who reads the question.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum ParserChoice {
+    /// Grammar and lexicon: no call, no cost.
+    #[default]
+    Builtin,
+    /// One call to the configured model; the grammar where its answer can not be used, told in the trace.
+    Vlm,
+}
+
+/// Parts of an answer that can be left out of the reply.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Include {
+    /// The best instances, with rank, score and box.
+    Candidates,
+    /// Paths of the pictures that go with the answer.
+    Evidence,
+    /// Calls of models and what was corrected.
+    Trace,
+}
+
+/// Parts of the paper's prompt left out; only a vision-language model has a prompt.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Ablation {
+    /// Nothing is left out.
+    #[default]
+    Full,
+    /// No render of the room from above.
+    NoGlobal,
+    /// No photographs of the candidates, and no names given from them.
+    NoCandidate,
+    /// Pictures, candidates and the question alone: no directions, anchors, steps or format.
+    SimplePrompt,
+}
+
+/// What a vision-language model is shown of the candidates.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum EvidenceMode {
+    /// Photographs of every candidate with every question, as in the paper.
+    #[default]
+    Full,
+    /// Names that a model gave once, and a smaller render; photographs only of candidates the question can not tell apart by name.
+    CachedNames,
+}
+
+/// Which words are compared with instances for the shortlist.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum QueryText {
+    /// The whole sentence.
+    Full,
+    /// The target phrase alone: "red chair".
+    Target,
+    /// The mean of both, each of unit length: long captions are cut at the tower's context.
+    #[default]
+    Mean,
+}
+
+/// Named conventions. World frame, Z up.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum DirectionConvention {
+    /// The paper's: left = +X, right = -X, front = -Y, back = +Y.
+    #[default]
+    Paper,
+    /// Somebody at -Y who looks along +Y: right = +X, front (nearer) = -Y.
+    Viewer,
+}
+
+impl DirectionConvention {
+    /// As requests and answers write it: `paper` or `viewer`.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paper => "paper",
+            Self::Viewer => "viewer",
+        }
+    }
+}
+
+/// Somebody who stands in the room.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Observer {
+    /// Metres, world frame (Z up).
+    pub position: [f32; 3],
+    /// Direction of view about +Z, radians; 0 looks along +X.
+    pub yaw_rad: f32,
+}
+
+/// A question about a scene.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct GroundRequest {
+    /// What to find, in plain English.
+    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 2000, example = "the black chair closest to the door"))]
+    pub query: String,
+    /// Candidates to keep.
+    #[serde(default = "default_top_k")]
+    #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 100, default = 5))]
+    pub top_k: u32,
+    /// Who reads the question.
+    #[serde(default)]
+    pub parser: ParserChoice,
+    /// Who decides.
+    #[serde(default)]
+    pub reasoner: ReasonerChoice,
+    /// For experiments: what a vision-language model is not told.
+    #[serde(default)]
+    pub ablation: Ablation,
+    /// What a vision-language model is shown of the candidates.
+    #[serde(default)]
+    pub evidence: EvidenceMode,
+    /// What left, right, front and back mean; an `observer` comes before it.
+    #[serde(default)]
+    pub direction_convention: DirectionConvention,
+    /// Left, right, front and back as seen by this observer.
+    pub observer: Option<Observer>,
+    /// Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`.
+    #[serde(default)]
+    pub allow_builtin: bool,
+    /// Optional parts to send back; all when left out.
+    pub include: Option<Vec<Include>>,
+    /// Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model is asked.
+    #[cfg_attr(feature = "openapi", schema(minimum = 0))]
+    pub max_cost_usd: Option<f64>,
+    /// Give up after this many seconds.
+    #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 3600))]
+    pub timeout_s: Option<f32>,
+}
+
+/// A query for candidates only.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ShortlistRequest {
+    /// What to find, in plain English.
+    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 2000, example = "the black chair"))]
+    pub query: String,
+    /// Most candidates to send back; fewer when fewer fit.
+    #[serde(default = "default_top_k")]
+    #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 100, default = 5))]
+    pub top_k: u32,
+    /// Which words are compared with the instances, where an encoder has seen them.
+    #[serde(default)]
+    pub query_text: QueryText,
+    /// Scores are likelihoods against a vocabulary instead of cosines.
+    #[serde(default)]
+    pub calibrated: bool,
+    /// Where the encoder fails, or is not the one the scene was parsed with, rank by names and measures.
+    #[serde(default)]
+    pub allow_builtin: bool,
+}
+
+impl ShortlistRequest {
+    /// # Errors
+    /// A [`FieldError`] naming the field.
+    pub fn check(&self) -> Result<(), FieldError> {
+        check_query(&self.query)?;
+        check_top_k(self.top_k)
+    }
+
+    /// A query with everything else at its default.
+    #[must_use]
+    pub fn of(query: impl Into<String>) -> Self {
+        let (query, top_k) = (query.into(), default_top_k());
+        Self { query, top_k, query_text: QueryText::default(), calibrated: false, allow_builtin: false }
+    }
+}
+
+fn default_top_k() -> u32 {
+    5
+}
+
+impl GroundRequest {
+    /// A question with everything else at its default.
+    #[must_use]
+    pub fn of(query: impl Into<String>) -> Self {
+        Self {
+            query: query.into(),
+            top_k: default_top_k(),
+            parser: ParserChoice::default(),
+            reasoner: ReasonerChoice::default(),
+            ablation: Ablation::default(),
+            evidence: EvidenceMode::default(),
+            direction_convention: DirectionConvention::default(),
+            observer: None,
+            allow_builtin: false,
+            include: None,
+            max_cost_usd: None,
+            timeout_s: None,
+        }
+    }
+
+    /// # Errors
+    /// A [`FieldError`] naming the field.
+    pub fn check(&self) -> Result<(), FieldError> {
+        check_query(&self.query)?;
+        check_top_k(self.top_k)?;
+        if let Some(observer) = &self.observer
+            && !observer.position.iter().chain([&observer.yaw_rad]).all(|v| v.is_finite())
+        {
+            return Err(FieldError::new("/observer", "position and yaw_rad must be finite"));
+        }
+        if self.max_cost_usd.is_some_and(|cost| !cost.is_finite() || cost < 0.0) {
+            return Err(FieldError::new("/max_cost_usd", "must be 0 or more"));
+        }
+        if self.timeout_s.is_some_and(|t| !t.is_finite() || t <= 0.0 || t > MAX_TIMEOUT_S) {
+            return Err(FieldError::new("/timeout_s", format!("must be above 0 and at most {MAX_TIMEOUT_S}")));
+        }
+        Ok(())
+    }
+}
+
+fn check_query(query: &str) -> Result<(), FieldError> {
+    let characters = query.chars().count();
+    if query.trim().is_empty() {
+        return Err(FieldError::new("/query", "must not be empty"));
+    }
+    if characters > MAX_QUERY_CHARS {
+        return Err(FieldError::new("/query", format!("has {characters} characters, at most {MAX_QUERY_CHARS} are read")));
+    }
+    Ok(())
+}
+
+fn check_top_k(top_k: u32) -> Result<(), FieldError> {
+    match top_k {
+        1..=MAX_TOP_K => Ok(()),
+        _ => Err(FieldError::new("/top_k", format!("must be 1 to {MAX_TOP_K}"))),
+    }
+}

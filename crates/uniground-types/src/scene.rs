@@ -1,0 +1,183 @@
+//! What is told of a parsed scan: ids, supports, views, reports.
+
+use crate::geometry::up_axis::UpAxis;
+use serde::{Deserialize, Serialize};
+
+/// Position of a frame in the scan's own list; stable when frames are skipped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(transparent)]
+pub struct FrameIndex(pub u32);
+
+impl std::fmt::Display for FrameIndex {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// Number of an instance within its scene, counted from 1 in falling order of points.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(transparent)]
+pub struct InstanceId(pub u32);
+
+impl std::fmt::Display for InstanceId {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// Part of the building rather than an object in it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Structure {
+    /// A level plane at the bottom of the room.
+    Floor,
+    /// A level plane at the top of the room.
+    Ceiling,
+    /// An upright plane at the rim of the room.
+    Wall,
+}
+
+impl Structure {
+    /// As people and the API say it: `floor`, `ceiling`, `wall`.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Floor => "floor",
+            Self::Ceiling => "ceiling",
+            Self::Wall => "wall",
+        }
+    }
+}
+
+/// What an instance rests on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(tag = "on", rename_all = "snake_case")]
+pub enum Support {
+    /// It stands on the floor.
+    Floor,
+    /// It stands on, or in, another instance.
+    Instance {
+        /// What carries it.
+        id: InstanceId,
+    },
+    /// Nothing carries it; it hangs on a wall.
+    Wall {
+        /// The wall, itself an instance.
+        id: InstanceId,
+    },
+    /// Nothing below or behind it was found.
+    Nothing,
+}
+
+impl std::fmt::Display for Support {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Floor => f.write_str("floor"),
+            Self::Instance { id } => write!(f, "instance {id}"),
+            Self::Wall { id } => write!(f, "wall {id}"),
+            Self::Nothing => f.write_str("nothing found"),
+        }
+    }
+}
+
+/// A picture that shows an instance well.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct View {
+    /// Position of the frame in the scan's own list, from 0.
+    pub frame: FrameIndex,
+    /// Points of the instance visible in this frame.
+    pub visible_points: u32,
+    /// Tight box of the visible points in the colour picture: left, top, right, bottom, pixels.
+    pub box_px: [u32; 4],
+}
+
+/// A name the encoder would give without having heard a question.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct NameGuess {
+    /// An English noun of the built-in lexicon.
+    pub name: String,
+    /// How well the name fits and how usual such a thing is, `0..=1`.
+    pub score: f32,
+}
+
+/// How poses are to be read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum PoseConvention {
+    /// A pose takes points of the camera to the world.
+    CameraToWorld,
+    /// A pose takes points of the world to the camera.
+    WorldToCamera,
+}
+
+/// What the importer found; part of the scene's public record.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct ImportReport {
+    /// Layout of the archive: `uniground-scene/1` or `color-depth-pose`.
+    pub format: String,
+    /// The axis that pointed up in the files; the stored scene has Z up.
+    pub up: UpAxis,
+    /// Which way the poses of the files were read.
+    pub pose: PoseConvention,
+    /// Camera axes of the files: `opencv` or `opengl`.
+    pub camera_axes: String,
+    /// Frames that can be used: those left out are not counted.
+    pub frames: u32,
+    /// Frames left out because the tracker marked their pose as lost (infinite).
+    pub frames_skipped: u32,
+    /// Points in the archive's own cloud; `null` when the cloud is fused from the frames.
+    pub cloud_points: Option<u64>,
+    /// Share of sampled points that agree with the depth pictures they project into, `0..=1`; `null` where it could not be measured.
+    pub reprojection_agreement: Option<f32>,
+    /// What is odd but was accepted, each with its file or frame.
+    pub warnings: Vec<String>,
+}
+
+/// What stage 1 did, for people who want to know what went wrong.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct ParseReport {
+    /// Points of the cloud that was parsed.
+    pub points: u64,
+    /// Frames looked at, a sample of those imported.
+    pub frames_used: u32,
+    /// Small even patches the cloud was cut into before merging.
+    pub superpoints: u32,
+    /// Instances found, structural ones included.
+    pub instances: u32,
+    /// Instances flagged as floor, wall or ceiling.
+    pub structural: u32,
+    /// Instances that no frame shows.
+    pub without_views: u32,
+    /// What each stage did and took, in order.
+    pub stages: Vec<StageReport>,
+    /// What may have made the result worse, a sentence each.
+    pub warnings: Vec<String>,
+}
+
+/// One stage of a parse: what it took and what came out.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct StageReport {
+    /// `import`, `superpoints`, `masks_and_lifting`, `merging`, `part_merging`, `instances`, `views`, or with models `appearance`.
+    pub stage: String,
+    /// Wall-clock.
+    pub seconds: f32,
+    /// How many came out: points, superpoints, masks over all frames, regions, instances, sightings of instances.
+    #[serde(default)]
+    pub produced: u64,
+    /// Whether they were kept from an earlier parse of the scan that got so far under the same settings.
+    #[serde(default)]
+    pub reused: bool,
+    /// Largest resident memory of the whole process during the stage, 10^6 bytes; `null` where the system does not tell.
+    #[serde(default)]
+    pub peak_memory_mb: Option<u32>,
+}

@@ -1,0 +1,146 @@
+//! Scans and their parses, as callers see them.
+
+use crate::geometry::boxes::Aabb;
+use crate::job::{Job, JobError};
+use crate::scene::{ImportReport, ParseReport};
+use crate::settings::{ParseModels, ParsePreset, ParseSettings};
+use serde::{Deserialize, Serialize};
+
+/// How far a scene has come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum SceneStatus {
+    /// Stored, not parsed.
+    Uploaded,
+    /// The first parse is queued or running.
+    Parsing,
+    /// Questions are answered.
+    Ready,
+    /// The only parse so far failed or was cancelled; see `error`.
+    Failed,
+}
+
+/// Sizes of a scene's current parse.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct SceneCounts {
+    /// Points of the cloud.
+    pub points: u64,
+    /// Frames looked at, a sample of those imported.
+    pub frames_used: u32,
+    /// Small even patches the cloud was cut into before merging.
+    pub superpoints: u32,
+    /// Instances found, floor, walls and ceiling included.
+    pub instances: u32,
+}
+
+/// A scene: one uploaded scan and its current parse.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Scene {
+    /// UUIDv7; in order of time.
+    pub id: String,
+    /// One line of 1 to 200 characters, given at the upload, taken from the archive, or `scene`. Need not be unique.
+    pub name: String,
+    /// Whether questions can be asked.
+    pub status: SceneStatus,
+    /// SHA-256 of the uploaded bytes, hex.
+    pub content_hash: String,
+    /// Number of the current parse, from 1; 0 before the first. Questions use the current one until a newer is ready.
+    pub parse_version: u32,
+    /// Sizes of the current parse; `null` before the first.
+    pub counts: Option<SceneCounts>,
+    /// Box of all points, world frame (Z up), metres.
+    pub extent: Option<Aabb>,
+    /// What the importer found.
+    pub import: Option<ImportReport>,
+    /// What stage 1 did.
+    pub report: Option<ParseReport>,
+    /// Settings of the current parse, defaults filled in; `null` before the first.
+    pub settings: Option<ParseSettings>,
+    /// Models of the current parse; `null` before the first.
+    pub models: Option<ParseModels>,
+    /// The latest parse job on this scene.
+    pub job_id: Option<String>,
+    /// Why the latest parse failed; `null` after a cancel.
+    pub error: Option<JobError>,
+    /// When it was uploaded, RFC 3339 UTC.
+    pub created_at: String,
+    /// When it was last renamed, parsed, or asked to be, RFC 3339 UTC.
+    pub updated_at: String,
+}
+
+/// One page of scenes.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct SceneList {
+    /// Newest first.
+    pub scenes: Vec<Scene>,
+    /// Pass as `cursor` for the next page; `null` on the last.
+    pub next_cursor: Option<String>,
+}
+
+/// A new scene and the job that parses it.
+#[derive(Debug, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Created {
+    /// As it stands now; with a known `Idempotency-Key`, the scene that key made before.
+    pub scene: Scene,
+    /// `null` when the scan was only stored.
+    pub job: Option<Job>,
+}
+
+/// A new name for a scene.
+#[derive(Debug, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct Rename {
+    /// One line of 1 to 200 characters, not blank, without control characters.
+    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 200))]
+    pub name: String,
+}
+
+/// How to parse. An empty object parses with the default settings.
+#[derive(Debug, Default, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct ParseRequest {
+    /// What `settings` start from.
+    pub preset: ParsePreset,
+    /// Single values that replace those of the preset, e.g. `{"parsing": {"superpoints": {"voxel_m": 0.02}}}`.
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<ParseSettings>))]
+    pub settings: Option<serde_json::Value>,
+}
+
+/// Everything known about a scene's current parse.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct SceneReport {
+    /// UUIDv7 of the scene.
+    pub scene_id: String,
+    /// Number of the current parse, from 1.
+    pub parse_version: u32,
+    /// What the importer found.
+    pub import: Option<ImportReport>,
+    /// What every stage did and took.
+    pub parse: Option<ParseReport>,
+    /// Settings of the parse, defaults filled in.
+    pub settings: Option<ParseSettings>,
+    /// Models the parse was made with.
+    pub models: Option<ParseModels>,
+    /// The cloud by superpoint and by instance, and instances over up to three frames; empty for parses of old versions.
+    pub pictures: Vec<ReportPictureLink>,
+}
+
+/// A picture of a parse.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct ReportPictureLink {
+    /// `superpoints`, `instances`, `frame-1` and so on: the file without `.jpg`.
+    pub name: String,
+    /// What it shows.
+    pub title: String,
+    /// JPEG, relative to the server.
+    pub url: String,
+}

@@ -1,0 +1,36 @@
+//! How a scan becomes a scene.
+
+use crate::geometry::up_axis::UpAxis;
+use serde::{Deserialize, Serialize};
+
+/// How a cloud is fused from depth pictures.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct FusionSettings {
+    /// Edge of the voxels points are averaged in, metres.
+    pub voxel_m: f32,
+    /// Depth beyond this is not fused, metres: consumer sensors are noise out there.
+    pub max_depth_m: f32,
+    /// A voxel becomes a point when it holds at least this share of the mean number of measurements: thin ones are mostly noise.
+    pub min_share_of_mean: f32,
+    /// A pixel whose depth differs from a neighbour's by more than this share lies on a silhouette, where sensors smear.
+    pub silhouette_tolerance: f32,
+}
+
+impl Default for FusionSettings {
+    fn default() -> Self {
+        Self { voxel_m: 0.02, max_depth_m: 8.0, min_share_of_mean: 0.25, silhouette_tolerance: 0.05 }
+    }
+}
+
+/// How a scan becomes a scene; part of the parse settings, because they decide the result.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct ImportSettings {
+    /// The world axis that points up in the files. `null`: what the manifest says; without one, the axis the cameras hold up.
+    pub up: Option<UpAxis>,
+    /// Used when the archive has no cloud of its own.
+    pub fusion: FusionSettings,
+}

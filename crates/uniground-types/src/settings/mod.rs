@@ -1,0 +1,193 @@
+//! Everything a parse depends on, beside the content of the scan: settings and the choice of models.
+//!
+//! Every number of stage 1 is a field here, with its default, the paper's value where the paper has one, and its unit.
+
+mod import;
+mod instances;
+mod masks;
+mod merging;
+mod neural;
+mod parsing;
+mod superpoints;
+
+pub use import::{FusionSettings, ImportSettings};
+pub use instances::{FrameSamplingSettings, InstanceSettings, ViewSettings};
+pub use masks::{MaskOrder, RgbdSettings, SamSettings};
+pub use merging::{MergeSettings, Normalisation, PartMergingSettings};
+pub use neural::{AppearanceSettings, CorrectionSettings};
+pub use parsing::ParsingSettings;
+pub use superpoints::SuperpointSettings;
+
+use crate::problem::FieldError;
+use serde::{Deserialize, Serialize};
+
+/// Everything a parse depends on, beside the content.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct ParseSettings {
+    /// How the files become a cloud and frames, Z up.
+    pub import: ImportSettings,
+    /// How the cloud is cut into instances.
+    pub parsing: ParsingSettings,
+    /// Which models take part.
+    pub models: ModelChoice,
+}
+
+/// Which of the server's models take part.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct ModelChoice {
+    /// Who cuts pictures into masks, and corrects projections of instances.
+    pub masks: PartChoice,
+    /// Who compares pictures and words.
+    pub encoder: PartChoice,
+    /// Where a model fails the built-in parts do the work instead, and the report says so. Otherwise the parse fails.
+    pub allow_builtin: bool,
+}
+
+/// Who does a part of the work.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum PartChoice {
+    /// What the server was started with.
+    #[default]
+    Configured,
+    /// The part that needs no model.
+    Builtin,
+}
+
+/// Where settings start from; given settings then replace single values.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum ParsePreset {
+    /// What measures best over several rooms.
+    #[default]
+    Default,
+    /// Every value the paper states.
+    Paper,
+}
+
+/// Models a parse was made with: name and version each.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct ParseModels {
+    /// Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like `rgbd-2`.
+    pub masks: String,
+    /// Looked at instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`.
+    pub encoder: String,
+}
+
+impl ParseSettings {
+    /// A preset with single values replaced by `overrides`, a partial settings object.
+    ///
+    /// # Errors
+    /// A [`FieldError`] with a JSON pointer below `/settings`.
+    pub fn from_request(preset: ParsePreset, overrides: Option<serde_json::Value>) -> Result<Self, FieldError> {
+        let base = match preset {
+            ParsePreset::Default => Self::default(),
+            ParsePreset::Paper => Self { parsing: ParsingSettings::paper(), ..Self::default() },
+        };
+        let unreadable = |error: serde_json::Error| FieldError::new("/settings", error.to_string());
+        let mut merged = serde_json::to_value(base).map_err(unreadable)?;
+        if let Some(mut overrides) = overrides {
+            with_names_of_today(&mut overrides);
+            merge(&mut merged, overrides, "/settings")?;
+        }
+        let settings: Self = serde_path_to_error::deserialize(merged).map_err(|e| {
+            let pointer = e.path().iter().map(|segment| format!("/{segment}")).collect::<String>();
+            FieldError::new(format!("/settings{pointer}"), e.inner().to_string())
+        })?;
+        settings.check()?;
+        Ok(settings)
+    }
+
+    fn check(&self) -> Result<(), FieldError> {
+        let fusion = &self.import.fusion;
+        for (pointer, fine, expected) in [
+            ("/min_share_of_mean", (0.0..=1.0).contains(&fusion.min_share_of_mean), "0 to 1"),
+            ("/voxel_m", (0.001..=1.0).contains(&fusion.voxel_m), "0.001 to 1 metres"),
+            ("/max_depth_m", fusion.max_depth_m.is_finite() && fusion.max_depth_m > 0.0, "above 0"),
+            (
+                "/silhouette_tolerance",
+                fusion.silhouette_tolerance.is_finite() && fusion.silhouette_tolerance > 0.0,
+                "above 0",
+            ),
+        ] {
+            if !fine {
+                return Err(FieldError::new(format!("/settings/import/fusion{pointer}"), format!("must be {expected}")));
+            }
+        }
+        self.parsing
+            .check()
+            .map_err(|(pointer, expected)| FieldError::new(format!("/settings/parsing{pointer}"), format!("must be {expected}")))
+    }
+}
+
+/// Settings that were called otherwise once: where they stand, the old name, the new one.
+const RENAMED: [(&str, &str, &str); 1] = [("/parsing", "wholes", "part_merging")];
+
+/// Gives settings, whole or in part, the names they have today.
+pub fn with_names_of_today(settings: &mut serde_json::Value) {
+    for (place, old, new) in RENAMED {
+        let Some(object) = settings.pointer_mut(place).and_then(serde_json::Value::as_object_mut) else { continue };
+        if let Some(value) = object.remove(old) {
+            object.entry(new).or_insert(value);
+        }
+    }
+}
+
+/// Replaces values in `base` by those of `over`, object by object. A list is no object, though serde would take it for one.
+fn merge(base: &mut serde_json::Value, over: serde_json::Value, pointer: &str) -> Result<(), FieldError> {
+    match (base, over) {
+        (serde_json::Value::Object(base), serde_json::Value::Object(over)) => {
+            for (key, value) in over {
+                let pointer = format!("{pointer}/{key}");
+                merge(base.entry(key).or_insert(serde_json::Value::Null), value, &pointer)?;
+            }
+        }
+        (serde_json::Value::Object(_), _) => return Err(FieldError::new(pointer, "must be an object")),
+        (base, over) => *base = over,
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    #[test]
+    fn single_values_replace_those_of_the_preset() {
+        let settings = ParseSettings::from_request(ParsePreset::Paper, Some(json!({"parsing": {"superpoints": {"seed_m": 0.5}}}))).unwrap();
+        assert_eq!((settings.parsing.superpoints.seed_m, settings.parsing.superpoints.voxel_m), (0.5, 0.05));
+        assert_eq!(settings.parsing.depth_tolerance, 0.15);
+    }
+
+    #[test]
+    fn wrong_settings_are_named_by_pointer() {
+        for (overrides, expected) in [
+            (json!({"parsing": {"superpoints": {"voxel_m": -1}}}), "/settings/parsing/superpoints/voxel_m"),
+            (json!({"parsing": {"superpoints": {"voxel_m": "wide"}}}), "/settings/parsing/superpoints/voxel_m"),
+            (json!({"parsing": {"superpoint": {}}}), "/settings/parsing"),
+            (json!({"import": {"fusion": {"voxel_m": 0}}}), "/settings/import/fusion/voxel_m"),
+            (json!(7), "/settings"),
+            (json!([]), "/settings"),
+            (json!({"parsing": {"superpoints": [0.05, 0.3]}}), "/settings/parsing/superpoints"),
+        ] {
+            let Err(FieldError { pointer, .. }) = ParseSettings::from_request(ParsePreset::Default, Some(overrides.clone())) else {
+                panic!("{overrides} was accepted")
+            };
+            assert!(pointer.starts_with(expected), "{overrides}: {pointer}");
+        }
+    }
+
+    #[test]
+    fn a_setting_of_yesterday_is_read_under_its_new_name() {
+        let settings = ParseSettings::from_request(ParsePreset::Default, Some(json!({"parsing": {"wholes": {"enabled": false}}}))).unwrap();
+        assert!(!settings.parsing.part_merging.enabled);
+    }
+}

@@ -1,0 +1,187 @@
+//! Every number stage 1 depends on. Two presets: `default` (what measures best) and `paper` (every value the paper states).
+
+use super::{
+    AppearanceSettings, CorrectionSettings, FrameSamplingSettings, InstanceSettings, MergeSettings, PartMergingSettings, RgbdSettings,
+    SamSettings, SuperpointSettings, ViewSettings,
+};
+use serde::{Deserialize, Serialize};
+
+/// Settings of stage 1. Fields left out keep their default.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields, default)]
+pub struct ParsingSettings {
+    /// Which frames are looked at.
+    pub frame_sampling: FrameSamplingSettings,
+    /// How finely the cloud is cut before anything is merged.
+    pub superpoints: SuperpointSettings,
+    /// The built-in masks.
+    pub rgbd_masks: RgbdSettings,
+    /// Masks of a segmentation model, where the server has one.
+    pub sam_masks: SamSettings,
+    /// A point fits the measured depth when `|z - d| <= this * d`. Paper: 0.15, which is loose; 0.05 measures better.
+    pub depth_tolerance: f32,
+    /// How superpoints are merged into regions.
+    pub merging: MergeSettings,
+    /// How parts join the furniture they belong to.
+    pub part_merging: PartMergingSettings,
+    /// How regions become instances with boxes.
+    pub instances: InstanceSettings,
+    /// Which views of an instance are kept as pictures.
+    pub views: ViewSettings,
+    /// What a segmentation model does about projections that lost or took along something.
+    pub correction: CorrectionSettings,
+    /// What an encoder looks at, where the server has one.
+    pub appearance: AppearanceSettings,
+}
+
+impl Default for ParsingSettings {
+    fn default() -> Self {
+        Self {
+            frame_sampling: FrameSamplingSettings::default(),
+            superpoints: SuperpointSettings::default(),
+            rgbd_masks: RgbdSettings::default(),
+            sam_masks: SamSettings::default(),
+            depth_tolerance: 0.05,
+            merging: MergeSettings::default(),
+            part_merging: PartMergingSettings::default(),
+            instances: InstanceSettings::default(),
+            views: ViewSettings::default(),
+            correction: CorrectionSettings::default(),
+            appearance: AppearanceSettings::default(),
+        }
+    }
+}
+
+impl ParsingSettings {
+    /// Every value the paper states; where it is silent, the default.
+    #[must_use]
+    pub fn paper() -> Self {
+        Self {
+            frame_sampling: FrameSamplingSettings { max_frames: None, ..FrameSamplingSettings::default() },
+            superpoints: SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..SuperpointSettings::default() },
+            depth_tolerance: 0.15,
+            sam_masks: SamSettings::paper(),
+            correction: CorrectionSettings::paper(),
+            appearance: AppearanceSettings::paper(),
+            ..Self::default()
+        }
+    }
+
+    /// Names the first field whose value makes no sense, as a JSON pointer, and says what would.
+    ///
+    /// # Errors
+    /// The pointer and the expectation.
+    pub fn check(&self) -> Result<(), (&'static str, &'static str)> {
+        let Self {
+            frame_sampling,
+            superpoints,
+            rgbd_masks,
+            sam_masks,
+            depth_tolerance,
+            merging,
+            part_merging,
+            instances,
+            views,
+            correction,
+            appearance,
+        } = self;
+        let positive = |v: f32| v.is_finite() && v > 0.0;
+        let share = |v: f32| (0.0..=1.0).contains(&v);
+        let weight = |v: f32| v.is_finite() && v >= 0.0;
+        let rules: [(&str, bool, &str); 50] = [
+            ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
+            ("/frame_sampling/max_frames", frame_sampling.max_frames != Some(0), "at least 1, or null"),
+            ("/superpoints/voxel_m", (0.001..=10.0).contains(&superpoints.voxel_m), "0.001 to 10 metres"),
+            (
+                "/superpoints/seed_m",
+                superpoints.seed_m.is_finite() && superpoints.seed_m >= superpoints.voxel_m,
+                "at least voxel_m",
+            ),
+            ("/superpoints/seed_m", superpoints.seed_m <= 100.0 * superpoints.voxel_m, "at most 100 voxels"),
+            ("/superpoints/spatial_weight", weight(superpoints.spatial_weight), "0 or more"),
+            ("/superpoints/normal_weight", weight(superpoints.normal_weight), "0 or more"),
+            ("/superpoints/colour_weight", weight(superpoints.colour_weight), "0 or more"),
+            ("/superpoints/smoothness_deg", (0.0..=90.0).contains(&superpoints.smoothness_deg), "0 to 90 degrees"),
+            ("/superpoints/curvature", weight(superpoints.curvature), "0 or more"),
+            ("/superpoints/colour_tolerance", weight(superpoints.colour_tolerance), "0 or more"),
+            ("/rgbd_masks/stride", (1..=16).contains(&rgbd_masks.stride), "1 to 16 pixels"),
+            ("/rgbd_masks/colour_edge", positive(rgbd_masks.colour_edge), "above 0"),
+            ("/rgbd_masks/concave_edge_deg", positive(rgbd_masks.concave_edge_deg), "above 0"),
+            ("/rgbd_masks/convex_edge_deg", positive(rgbd_masks.convex_edge_deg), "above 0"),
+            ("/rgbd_masks/patch_scale", weight(rgbd_masks.patch_scale), "0 or more"),
+            ("/rgbd_masks/join_cost", weight(rgbd_masks.join_cost), "0 or more"),
+            ("/rgbd_masks/join_colour", positive(rgbd_masks.join_colour), "above 0"),
+            ("/rgbd_masks/join_concave_deg", positive(rgbd_masks.join_concave_deg), "above 0"),
+            ("/rgbd_masks/plane_area_m2", weight(rgbd_masks.plane_area_m2), "0 or more"),
+            ("/sam_masks/points_per_side", (1..=128).contains(&sam_masks.points_per_side), "1 to 128"),
+            ("/sam_masks/min_predicted_iou", sam_masks.min_predicted_iou.is_finite(), "a number"),
+            ("/sam_masks/min_stability", share(sam_masks.min_stability), "0 to 1"),
+            ("/sam_masks/stability_margin", weight(sam_masks.stability_margin), "0 or more"),
+            ("/sam_masks/max_overlap", share(sam_masks.max_overlap), "0 to 1"),
+            ("/sam_masks/min_area", share(sam_masks.min_area), "0 to 1"),
+            ("/sam_masks/max_area", share(sam_masks.max_area), "0 to 1"),
+            ("/sam_masks/max_masks", (1..=65_535).contains(&sam_masks.max_masks), "1 to 65535"),
+            ("/depth_tolerance", (0.0..1.0).contains(depth_tolerance), "0 to 1"),
+            (
+                "/merging/thresholds",
+                !merging.thresholds.is_empty() && merging.thresholds.iter().all(|&t| share(t)),
+                "one or more values from 0 to 1",
+            ),
+            ("/merging/thresholds", merging.thresholds.len() <= 20, "at most 20 stages"),
+            ("/merging/max_hop", (1..=4).contains(&merging.max_hop), "1 to 4"),
+            ("/merging/hop_decay", share(merging.hop_decay) && merging.hop_decay > 0.0, "above 0, at most 1"),
+            ("/part_merging/leg_thickness_m", weight(part_merging.leg_thickness_m), "0 or more"),
+            ("/part_merging/plate_thickness_m", weight(part_merging.plate_thickness_m), "0 or more"),
+            (
+                "/part_merging/back_width",
+                share(part_merging.back_width) && part_merging.back_width > 0.0,
+                "above 0, at most 1",
+            ),
+            ("/part_merging/longest_m", weight(part_merging.longest_m), "0 or more"),
+            ("/instances/stray_share", (0.0..0.5).contains(&instances.stray_share), "0 to 0.5"),
+            ("/instances/thin_sigmas", weight(instances.thin_sigmas), "0 or more"),
+            ("/instances/noise_sigmas", weight(instances.noise_sigmas), "0 or more"),
+            ("/instances/trim", (0.0..0.5).contains(&instances.trim), "0 to 0.5"),
+            ("/instances/stray_voxel_m", (0.001..=10.0).contains(&instances.stray_voxel_m), "0.001 to 10 metres"),
+            ("/views/min_share_of_best", share(views.min_share_of_best), "0 to 1"),
+            ("/views/count", (1..=16).contains(&views.count), "1 to 16"),
+            ("/correction/rounds", correction.rounds <= 100, "at most 100"),
+            ("/correction/points", (1..=100).contains(&correction.points), "1 to 100"),
+            ("/correction/min_agreement", share(correction.min_agreement), "0 to 1"),
+            ("/appearance/views", (1..=100).contains(&appearance.views), "1 to 100"),
+            ("/appearance/min_visible", share(appearance.min_visible), "0 to 1"),
+            (
+                "/appearance/levels",
+                (1..=16).contains(&appearance.levels) && share(appearance.level_step),
+                "1 to 16, steps of 0 to 1",
+            ),
+        ];
+        rules
+            .into_iter()
+            .find(|(_, fine, _)| !fine)
+            .map_or(Ok(()), |(pointer, _, expected)| Err((pointer, expected)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn both_presets_make_sense_and_survive_json() {
+        for settings in [ParsingSettings::default(), ParsingSettings::paper()] {
+            assert_eq!(settings.check(), Ok(()));
+            let json = serde_json::to_string(&settings).unwrap();
+            assert_eq!(serde_json::from_str::<ParsingSettings>(&json).unwrap(), settings);
+        }
+        assert!(serde_json::from_str::<ParsingSettings>(r#"{"superpoints":{"voxels":1}}"#).is_err());
+    }
+
+    #[test]
+    fn nonsense_is_named() {
+        let mut settings = ParsingSettings::default();
+        settings.superpoints.voxel_m = f32::NAN;
+        assert_eq!(settings.check().unwrap_err().0, "/superpoints/voxel_m");
+    }
+}

@@ -1,0 +1,346 @@
+//! A lane: takes the jobs of one kind from their queue and sees each to an end.
+
+use super::queue::{Pulse, Running};
+use super::{JobContext, JobFailure, JobKind, Jobs, Retry};
+use crate::store::{JobRow, JobState, StoreError};
+use futures::future::join_all;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time;
+use tokio_util::sync::CancellationToken;
+use tracing::Instrument;
+use uniground_core::progress::Progress;
+
+/// How often a running job's row is brought up to date.
+const SAVE_EVERY: Duration = Duration::from_millis(500);
+/// How long a worker sleeps when nobody wakes it.
+const LOOK_EVERY: Duration = Duration::from_secs(2);
+/// No wait before another try is longer.
+const LONGEST_BACKOFF: Duration = Duration::from_hours(1);
+
+impl Jobs {
+    /// Works on the jobs of one kind until `shutdown`, as many at once as the kind allows. Jobs running then are put back and go on after
+    /// the next start. No kind waits for another.
+    ///
+    /// # Errors
+    /// [`StoreError`] when the queue can not be read at start; later trouble with the database is logged and retried.
+    pub async fn run_lane<K: JobKind>(&self, kind: Arc<K>, shutdown: CancellationToken) -> Result<(), StoreError> {
+        self.store.recover_jobs(K::NAME, K::RETRY.interrupted).await?;
+        join_all((0..K::CONCURRENCY.max(1)).map(|_| self.work(&kind, &shutdown))).await;
+        Ok(())
+    }
+
+    /// Fails what waits but is of no kind this server knows: jobs of a newer server, or of one with other parts.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn refuse_unknown_kinds(&self, known: &[&str]) -> Result<(), StoreError> {
+        for (id, kind) in self.store.open_jobs().await? {
+            if !known.contains(&kind.as_str()) {
+                let detail = format!("this server does not know jobs of the kind {kind:?}");
+                self.store.finish_job(&id, JobState::Failed, None, Some(("unknown_job_kind", &detail))).await?;
+            }
+        }
+        Ok(())
+    }
+
+    async fn work<K: JobKind>(&self, kind: &Arc<K>, shutdown: &CancellationToken) {
+        let bell = self.bell(K::NAME);
+        while !shutdown.is_cancelled() {
+            match self.store.claim_job(K::NAME).await {
+                Ok(Some(job)) => {
+                    let span = tracing::info_span!("job", id = job.id, kind = K::NAME, subject = job.subject);
+                    let run = async {
+                        if let Err(error) = self.run(kind, job, shutdown).await {
+                            tracing::error!(error = &error as &dyn std::error::Error, "a job's end could not be recorded");
+                        }
+                    };
+                    run.instrument(span).await;
+                }
+                Ok(None) => {
+                    tokio::select! {
+                        () = bell.notified() => {}
+                        () = time::sleep(LOOK_EVERY) => {}
+                        () = shutdown.cancelled() => {}
+                    }
+                }
+                Err(error) => {
+                    tracing::error!(kind = K::NAME, error = &error as &dyn std::error::Error, "the job queue can not be read");
+                    time::sleep(LOOK_EVERY).await;
+                }
+            }
+        }
+    }
+
+    async fn run<K: JobKind>(&self, kind: &Arc<K>, job: JobRow, shutdown: &CancellationToken) -> Result<(), StoreError> {
+        let JobRow { id, payload, attempts, .. } = job;
+        let payload = match serde_json::from_str(&payload) {
+            Ok(payload) => payload,
+            Err(error) => {
+                let detail = format!("what this job was asked to do can not be read: {error}");
+                tracing::error!(%error, "a job's payload can not be read");
+                return self.store.finish_job(&id, JobState::Failed, None, Some(("internal", &detail))).await;
+            }
+        };
+        let running = Running { cancel: shutdown.child_token(), ..Running::default() };
+        self.running().insert(id.clone(), running.clone());
+        // From here on a wish to stop finds the token; what was wished before stands in the row.
+        if self.store.is_cancel_requested(&id).await? {
+            running.cancel.cancel();
+        }
+        let (beating, cancel) = (running.clone(), running.cancel.clone());
+        let progress = Progress::new(move |stage, progress| beating.beat(Pulse { stage, progress }), move || cancel.is_cancelled());
+        // A task of its own: a job that panics ends itself, not the lane.
+        let context = JobContext { id: id.clone(), payload, progress };
+        let work = {
+            let kind = kind.clone();
+            async move { kind.run(context).await }
+        };
+        let mut work = tokio::spawn(work.in_current_span());
+        tracing::info!(attempt = attempts, "job started");
+        let mut saving = time::interval(SAVE_EVERY);
+        saving.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
+        let result = loop {
+            tokio::select! {
+                result = &mut work => break result,
+                _ = saving.tick() => {
+                    let Pulse { stage, progress } = running.pulse();
+                    if let Err(error) = self.store.save_job_progress(&id, stage, progress).await {
+                        tracing::warn!(error = &error as &dyn std::error::Error, "progress not saved");
+                    }
+                }
+            }
+        };
+        let end = match result {
+            Ok(Ok(message)) => End::Done(message),
+            Ok(Err(_)) if shutdown.is_cancelled() => End::PutBack,
+            Ok(Err(JobFailure::Cancelled)) => End::Cancelled,
+            // Asked to stop, it stumbled over what was taken from under it: that is no failure of its own.
+            Ok(Err(JobFailure::Failed { .. })) if running.cancel.is_cancelled() => End::Cancelled,
+            Ok(Err(JobFailure::Failed { code, detail, cause, transient })) => {
+                let again = transient.then(|| next_try(K::RETRY, attempts)).flatten();
+                tracing::warn!(code, cause, again_in_s = again.map(|wait| wait.as_secs()), "job failed");
+                again.map_or(End::Failed { code, detail }, End::Again)
+            }
+            Err(panic) => {
+                tracing::error!(error = &panic as &dyn std::error::Error, "job panicked");
+                let detail = "the job stopped because of an internal error; the server's log has the cause";
+                End::Failed { code: "internal".into(), detail: detail.into() }
+            }
+        };
+        let ended = self.record(&id, end).await;
+        self.running().remove(&id);
+        ended
+    }
+
+    async fn record(&self, id: &str, end: End) -> Result<(), StoreError> {
+        match end {
+            End::Done(message) => {
+                tracing::info!(result = message, "job done");
+                self.store.finish_job(id, JobState::Succeeded, Some(&message), None).await
+            }
+            End::PutBack => self.store.requeue_job(id).await,
+            End::Again(wait) => self.store.requeue_job_after(id, wait).await,
+            End::Cancelled => {
+                tracing::info!("job cancelled");
+                self.store.finish_job(id, JobState::Cancelled, None, None).await
+            }
+            End::Failed { code, detail } => self.store.finish_job(id, JobState::Failed, None, Some((&code, &detail))).await,
+        }
+    }
+}
+
+/// What becomes of a job.
+enum End {
+    Done(String),
+    /// The server stops: the next one goes on.
+    PutBack,
+    /// It failed in a way that may pass.
+    Again(Duration),
+    Cancelled,
+    Failed {
+        code: String,
+        detail: String,
+    },
+}
+
+/// The wait before another try, after `attempts`; `None` when there is none.
+fn next_try(Retry { transient, backoff, .. }: Retry, attempts: i64) -> Option<Duration> {
+    let attempts = u32::try_from(attempts).unwrap_or(u32::MAX);
+    (attempts < transient).then(|| backoff.saturating_mul(1 << attempts.saturating_sub(1).min(16)).min(LONGEST_BACKOFF))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::jobs::{Job, JobsError};
+    use crate::store::Store;
+    use camino::Utf8Path;
+    use std::sync::atomic::{AtomicU32, Ordering};
+
+    async fn queue(folder: &tempfile::TempDir) -> Jobs {
+        Jobs::new(Store::open(Utf8Path::from_path(folder.path()).unwrap()).await.unwrap(), 10)
+    }
+
+    /// Does what its payload says.
+    #[derive(Default)]
+    struct Obedient {
+        tries: AtomicU32,
+    }
+
+    fn failed(transient: bool) -> JobFailure {
+        JobFailure::Failed { code: "broken".into(), detail: "it broke".into(), cause: "it broke: on purpose".into(), transient }
+    }
+
+    impl JobKind for Obedient {
+        const NAME: &'static str = "obedient";
+        const CONCURRENCY: usize = 1;
+        const RETRY: Retry = Retry { interrupted: 3, transient: 3, backoff: Duration::from_millis(1) };
+        type Payload = String;
+
+        async fn run(&self, job: JobContext<String>) -> Result<String, JobFailure> {
+            match job.payload.as_str() {
+                "fail" => Err(failed(false)),
+                "fail twice" if self.tries.fetch_add(1, Ordering::Relaxed) < 2 => Err(failed(true)),
+                "panic" => panic!("on purpose"),
+                "wait" => loop {
+                    time::sleep(Duration::from_millis(5)).await;
+                    job.progress.report("waiting", 0.5).map_err(|_| JobFailure::Cancelled)?;
+                },
+                word => Ok(format!("did {word}")),
+            }
+        }
+    }
+
+    /// Waits for ever, elsewhere.
+    struct Slow;
+
+    impl JobKind for Slow {
+        const NAME: &'static str = "slow";
+        const CONCURRENCY: usize = 2;
+        const RETRY: Retry = Retry { interrupted: 1, transient: 1, backoff: Duration::ZERO };
+        type Payload = ();
+
+        async fn run(&self, job: JobContext<()>) -> Result<String, JobFailure> {
+            loop {
+                time::sleep(Duration::from_millis(5)).await;
+                job.progress.report("waiting", 0.1).map_err(|_| JobFailure::Cancelled)?;
+            }
+        }
+    }
+
+    async fn submit(jobs: &Jobs, what: &str) -> String {
+        jobs.submit::<Obedient>("s", &what.to_owned()).await.unwrap().id
+    }
+
+    fn lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken) -> tokio::task::JoinHandle<Result<(), StoreError>> {
+        let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
+        tokio::spawn(async move { jobs.run_lane(Arc::new(kind), shutdown).await })
+    }
+
+    async fn until(jobs: &Jobs, id: &str, done: impl Fn(&Job) -> bool) -> Job {
+        for _ in 0..2000 {
+            let job = jobs.get(id).await.unwrap();
+            if done(&job) {
+                return job;
+            }
+            time::sleep(Duration::from_millis(5)).await;
+        }
+        panic!("the job never got there: {:?}", jobs.get(id).await);
+    }
+
+    #[tokio::test]
+    async fn jobs_succeed_fail_and_panic_each_to_their_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
+        let stranger = jobs.store.insert_job("stranger", "s", "{}").await.unwrap().id;
+        jobs.refuse_unknown_kinds(&[Obedient::NAME]).await.unwrap();
+        assert_eq!(jobs.get(&stranger).await.unwrap().error.unwrap().code, "unknown_job_kind");
+        let unreadable = jobs.store.insert_job(Obedient::NAME, "s", "{").await.unwrap().id;
+        let worker = lane(&jobs, Obedient::default(), &shutdown);
+        assert_eq!(until(&jobs, &unreadable, |j| j.state.is_final()).await.error.unwrap().code, "internal");
+        for (what, state, code) in [
+            ("panic", JobState::Failed, Some("internal")),
+            ("fail", JobState::Failed, Some("broken")),
+            ("this", JobState::Succeeded, None),
+            ("fail twice", JobState::Succeeded, None),
+        ] {
+            let id = submit(&jobs, what).await;
+            let job = until(&jobs, &id, |j| j.state.is_final()).await;
+            assert_eq!((job.state, job.error.map(|e| e.code)), (state, code.map(str::to_owned)), "{what}");
+            assert_eq!(job.attempts, if what == "fail twice" { 3 } else { 1 }, "{what}");
+        }
+        shutdown.cancel();
+        worker.await.unwrap().unwrap();
+    }
+
+    #[tokio::test]
+    async fn cancelling_stops_a_job_and_stopping_the_server_puts_it_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
+        let worker = lane(&jobs, Obedient::default(), &shutdown);
+        let (first, second, third) = (submit(&jobs, "wait").await, submit(&jobs, "wait").await, submit(&jobs, "wait").await);
+        until(&jobs, &first, |j| j.stage.as_deref() == Some("waiting") && j.progress == 0.5).await;
+        assert_eq!(jobs.cancel(&third).await.unwrap().state, JobState::Cancelled);
+        jobs.cancel(&first).await.unwrap();
+        until(&jobs, &first, |j| j.state == JobState::Cancelled).await;
+        until(&jobs, &second, |j| j.state == JobState::Running).await;
+        shutdown.cancel();
+        worker.await.unwrap().unwrap();
+        let put_back = jobs.get(&second).await.unwrap();
+        assert_eq!((put_back.state, put_back.attempts), (JobState::Queued, 0));
+    }
+
+    #[tokio::test]
+    async fn a_wish_to_stop_between_claim_and_start_is_not_lost() {
+        let folder = tempfile::tempdir().unwrap();
+        let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
+        let id = submit(&jobs, "wait").await;
+        let claimed = jobs.store.claim_job(Obedient::NAME).await.unwrap().unwrap();
+        assert_eq!(jobs.cancel(&id).await.unwrap().state, JobState::Running, "claimed, and in nobody's hands yet");
+        jobs.run(&Arc::new(Obedient::default()), claimed, &shutdown).await.unwrap();
+        assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Cancelled);
+    }
+
+    #[tokio::test]
+    async fn a_wish_to_stop_outlives_the_server() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = queue(&folder).await;
+        let id = submit(&jobs, "wait").await;
+        jobs.store.claim_job(Obedient::NAME).await.unwrap().unwrap();
+        jobs.cancel(&id).await.unwrap();
+        // The server dies here; the next one looks after its queue.
+        jobs.store.recover_jobs(Obedient::NAME, 3).await.unwrap();
+        assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Cancelled);
+    }
+
+    #[tokio::test]
+    async fn no_kind_waits_for_another() {
+        let folder = tempfile::tempdir().unwrap();
+        let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
+        let workers = [lane(&jobs, Slow, &shutdown), lane(&jobs, Obedient::default(), &shutdown)];
+        let mut slow = Vec::new();
+        for _ in 0..3 {
+            slow.push(jobs.submit::<Slow>("s", &()).await.unwrap().id);
+        }
+        until(&jobs, &slow[1], |j| j.state == JobState::Running).await;
+        let quick = submit(&jobs, "this").await;
+        until(&jobs, &quick, |j| j.state == JobState::Succeeded).await;
+        assert_eq!(jobs.get(&slow[2]).await.unwrap().state, JobState::Queued, "two at once, no more");
+        shutdown.cancel();
+        for worker in workers {
+            worker.await.unwrap().unwrap();
+        }
+    }
+
+    #[tokio::test]
+    async fn a_full_queue_says_so() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = queue(&folder).await;
+        for _ in 0..10 {
+            submit(&jobs, "this").await;
+        }
+        assert!(matches!(jobs.submit::<Obedient>("s", &String::new()).await, Err(JobsError::QueueFull { queued: 10 })));
+        jobs.submit::<Slow>("s", &()).await.unwrap();
+    }
+}

@@ -1,0 +1,211 @@
+//! Questions to answers, kept.
+
+mod pictures;
+mod stored_scene;
+mod transcripts;
+
+pub(super) use stored_scene::StoredScene;
+
+use super::{Service, Vlm};
+use crate::error::Error;
+use std::sync::Arc;
+use std::time::Duration;
+use tokio::time::timeout;
+use uniground_core::grounding::pipeline::{self, Answered, Ask, Review, Shortlist, WithoutModel};
+use uniground_core::grounding::query::{BuiltinParser, QueryParser, VlmParser};
+use uniground_core::grounding::vlm::Options;
+use uniground_core::grounding::{Grounding, Question, ShortlistScoring};
+use uniground_core::models::chat::{Budget, CallRecord, OverBudget};
+use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
+use uniground_types::question::{GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
+use uuid::Uuid;
+
+impl Service {
+    /// Grounds one question in a parsed scene and keeps the answer.
+    ///
+    /// # Errors
+    /// [`Error`]: unknown or unparsed scene, a question that is none, no model or no money where a model was demanded, overload, time-out.
+    pub async fn ground(&self, scene_id: &str, request: GroundRequest) -> Result<Answer, Error> {
+        request.check()?;
+        let (scene, parse_id) = self.ready_scene(scene_id).await?;
+        let reviewer = self.reviewer(&request)?;
+        let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        // A place among those who wait for the model, for as long as the question takes.
+        let _place = reviewer.as_ref().map(|vlm| vlm.place()).transpose()?;
+        let budgets = match &self.vlm {
+            Some(vlm) => vlm.budgets(&self.store, request.max_cost_usd).await?,
+            None => Vec::new(),
+        };
+        let ask = self.ask(&request, reviewer, &budgets)?;
+        let answered = pipeline::answer(&source, ask);
+        let answered = match request.timeout_s {
+            Some(seconds) => timeout(Duration::from_secs_f32(seconds), answered)
+                .await
+                .unwrap_or(Err(Error::QuestionTimedOut { seconds })),
+            None => answered.await,
+        };
+        // Whatever came of it, calls were paid for.
+        self.settle().await?;
+        let answered = answered?;
+        let version = u32::try_from(scene.parse_version).unwrap_or(0);
+        let mut answer = self.told(&answered, scene.id, version, source.parse.masks.clone());
+        let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
+        self.keep_transcript(&answer, model, answered.calls).await?;
+        if !self
+            .store
+            .insert_answer(&answer.id, &answer.scene_id, &parse_id, &serde_json::to_string(&answer)?)
+            .await?
+        {
+            self.store.blobs.discard(self.store.blobs.answer(&answer.id)).await?;
+            return Err(Error::SceneNotFound { id: answer.scene_id });
+        }
+        if let Some(include) = request.include {
+            let wanted = |part| include.contains(&part);
+            answer.candidates = answer.candidates.filter(|_| wanted(Include::Candidates));
+            answer.evidence = answer.evidence.filter(|_| wanted(Include::Evidence));
+            answer.trace = answer.trace.filter(|_| wanted(Include::Trace));
+        }
+        Ok(answer)
+    }
+
+    /// The candidates for a query, without reasoning over relations.
+    ///
+    /// # Errors
+    /// As [`ground`](Self::ground).
+    pub async fn shortlist(&self, scene_id: &str, request: ShortlistRequest) -> Result<Shortlisted, Error> {
+        request.check()?;
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let ShortlistRequest { query, top_k, query_text, calibrated, allow_builtin } = request;
+        let scoring = ShortlistScoring { query_text, calibrated };
+        let Shortlist { candidates, encoder, cut } =
+            pipeline::shortlist(&source, query.clone(), scoring, allow_builtin, top_k as usize).await?;
+        Ok(Shortlisted { query, candidates, encoder, cut })
+    }
+
+    /// An answer as it was given, whole: its JSON, byte for byte.
+    ///
+    /// # Errors
+    /// [`Error::AnswerNotFound`].
+    pub async fn answer(&self, id: &str) -> Result<String, Error> {
+        Ok(self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?.body)
+    }
+
+    /// The model that reviews a question; `None` where the built-in reasoner decides, by choice or because nothing may be spent.
+    fn reviewer(&self, request: &GroundRequest) -> Result<Option<Arc<Vlm>>, Error> {
+        let unpaid = request.max_cost_usd == Some(0.0);
+        let asks = request.reasoner != ReasonerChoice::Builtin || request.parser == ParserChoice::Vlm;
+        if let Some(vlm) = self.vlm.as_ref().filter(|_| asks && !unpaid && request.max_cost_usd.is_some())
+            && !vlm.model.prices().are_known()
+        {
+            return Err(Error::invalid("/max_cost_usd", "this server knows no prices of its model: only 0 can be held to"));
+        }
+        match (request.reasoner, &self.vlm) {
+            (ReasonerChoice::Builtin, _) | (ReasonerChoice::Auto, None) => Ok(None),
+            (ReasonerChoice::Auto, Some(_)) if unpaid => Ok(None),
+            (ReasonerChoice::Vlm, None) => Err(Error::VlmNotConfigured),
+            (ReasonerChoice::Vlm, Some(_)) if unpaid => {
+                Err(Error::OverBudget(OverBudget { of: "this question", limit_usd: 0.0, left_usd: 0.0, wanted_usd: 0.0 }))
+            }
+            (_, Some(vlm)) => Ok(Some(vlm.clone())),
+        }
+    }
+
+    /// A request as the pipeline takes it.
+    fn ask(&self, request: &GroundRequest, reviewer: Option<Arc<Vlm>>, budgets: &[Budget]) -> Result<Ask, Error> {
+        // The grammar reads where nothing may be spent.
+        let parser: Arc<dyn QueryParser> = match (request.parser, &self.vlm) {
+            (ParserChoice::Vlm, None) => return Err(Error::VlmNotConfigured),
+            (ParserChoice::Vlm, Some(vlm)) if request.max_cost_usd != Some(0.0) => {
+                Arc::new(VlmParser { model: vlm.model.clone(), budgets: budgets.to_vec() })
+            }
+            _ => Arc::new(BuiltinParser),
+        };
+        let without_model = if request.reasoner == ReasonerChoice::Vlm { WithoutModel::Fail } else { WithoutModel::BuiltIn };
+        let review = reviewer.map(|vlm| Review {
+            model: vlm.model.clone(),
+            budgets: budgets.to_vec(),
+            options: Options { ablation: request.ablation, evidence: request.evidence, json: vlm.json() },
+            without_model,
+        });
+        let question = Question {
+            query: request.query.clone(),
+            top_k: request.top_k as usize,
+            convention: request.direction_convention,
+            observer: request.observer,
+            target_name: None,
+        };
+        Ok(Ask { question, parser, without_parser: WithoutModel::BuiltIn, allow_builtin_encoder: request.allow_builtin, review })
+    }
+
+    /// What came of a question, as callers are told.
+    fn told(&self, answered: &Answered, scene_id: String, parse_version: u32, masks: String) -> Answer {
+        let id = Uuid::now_v7().to_string();
+        let Answered { grounding, parsed: _, parser, encoder, reasoner, degraded, corrections, calls } = answered.clone();
+        let Grounding {
+            query,
+            status,
+            answer,
+            aabb,
+            oriented_box,
+            confidence,
+            candidates,
+            alternatives,
+            parsed_query,
+            direction_convention,
+            timings_ms,
+        } = grounding;
+        let mut evidence = vec![transcripts::picture_path(&id, pictures::GLOBAL)];
+        if self.limits.keep_evidence_days > 0 {
+            let shown = transcripts::pictures(&calls).into_iter().filter(|name| *name != pictures::GLOBAL);
+            evidence.extend(shown.map(|name| transcripts::picture_path(&id, name)));
+        }
+        Answer {
+            evidence: Some(evidence),
+            id,
+            scene_id,
+            parse_version,
+            query,
+            status,
+            answer,
+            aabb,
+            oriented_box,
+            confidence,
+            candidates: Some(candidates),
+            alternatives,
+            parsed_query,
+            models: Models { masks, encoder, parser, reasoner },
+            degraded,
+            direction_convention,
+            frame: CoordinateFrame { up: "z".into(), units: "m".into() },
+            trace: Some(Trace { calls: calls.iter().map(call).collect(), corrections }),
+            usage: usage(&calls),
+            timings_ms,
+        }
+    }
+}
+
+/// One call, as told in the trace.
+fn call(record: &CallRecord) -> Call {
+    let (reply, error) = (record.outcome.as_ref().ok(), record.outcome.as_ref().err().cloned());
+    Call {
+        purpose: record.purpose.to_owned(),
+        attempts: record.attempts,
+        latency_ms: record.latency_ms,
+        prompt_tokens: reply.map_or(0, |reply| reply.prompt_tokens),
+        completion_tokens: reply.map_or(0, |reply| reply.completion_tokens),
+        error,
+    }
+}
+
+/// What calls took. Those that got no answer cost nothing that is known.
+#[must_use]
+pub fn usage(calls: &[CallRecord]) -> Usage {
+    let replies = || calls.iter().filter_map(|call| call.outcome.as_ref().ok());
+    Usage {
+        vlm_calls: replies().count() as u32,
+        prompt_tokens: replies().map(|reply| reply.prompt_tokens).sum(),
+        completion_tokens: replies().map(|reply| reply.completion_tokens).sum(),
+        cost_usd: calls.iter().map(|call| call.cost_usd).sum(),
+    }
+}

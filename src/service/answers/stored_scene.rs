@@ -1,0 +1,114 @@
+//! A stored parse as the question pipeline sees it.
+
+use crate::error::Error;
+use crate::service::Service;
+use crate::service::parses::{LoadedParse, ParseFile, view};
+use camino::{Utf8Path, Utf8PathBuf};
+use std::collections::BTreeMap;
+use std::fs;
+use std::sync::Arc;
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::grounding::PictureCache;
+use uniground_core::grounding::pipeline::SceneSource;
+use uniground_core::ingest;
+use uniground_core::models::attributes;
+use uniground_core::models::neural::{DualEncoder, Role};
+use uniground_core::render::{RenderScene, Shot};
+use uniground_core::scene::{Embeddings, Instance, InstanceId};
+use uniground_core::scene_parsing::evidence::Picture;
+
+/// A parse, and the service that keeps it.
+pub struct StoredScene {
+    service: Service,
+    pub parse: Arc<LoadedParse>,
+}
+
+/// Photographs per candidate. Paper: 3.
+const MAX_SHOTS: usize = 3;
+
+impl StoredScene {
+    pub fn new(service: Service, parse: Arc<LoadedParse>) -> Arc<Self> {
+        Arc::new(Self { service, parse })
+    }
+
+    fn folder(&self) -> Utf8PathBuf {
+        self.service.store.blobs.parse(&self.parse.id)
+    }
+}
+
+impl SceneSource for StoredScene {
+    type Error = Error;
+
+    fn instances(&self) -> &[Instance] {
+        &self.parse.instances
+    }
+
+    fn extent(&self) -> Aabb {
+        self.parse.extent
+    }
+
+    fn encoder_name(&self) -> String {
+        self.parse.encoder.clone()
+    }
+
+    fn embeddings(&self) -> Result<Option<(&DualEncoder, &Embeddings)>, Error> {
+        let Some(embeddings) = &self.parse.embeddings else { return Ok(None) };
+        let models = &self.service.models;
+        let here = models.label(Role::Encoder).unwrap_or_else(|| attributes::NAME.into());
+        match &models.encoder {
+            Some(encoder) if here == self.parse.encoder => Ok(Some((encoder, embeddings))),
+            _ => Err(Error::EncoderChanged { parsed_with: self.parse.encoder.clone(), here }),
+        }
+    }
+
+    fn render_scene(&self) -> Result<Arc<RenderScene>, Error> {
+        let known = &self.service.parses.render_scenes;
+        if let Some(render_scene) = known.get(&self.parse.id) {
+            return Ok(render_scene);
+        }
+        let render_scene = Arc::new(RenderScene::of(ingest::read_cloud(&ParseFile::Cloud.of(&self.folder()))?));
+        known.put(self.parse.id.clone(), render_scene.clone(), render_scene.cloud.len());
+        Ok(render_scene)
+    }
+
+    fn photographs(&self, instance: &Instance) -> Vec<Shot> {
+        let folder = self.folder();
+        let views = instance.views.iter().take(MAX_SHOTS).enumerate();
+        views.filter_map(|(k, view)| shot(&folder, instance.id, k, view.box_px)).collect()
+    }
+
+    fn pictures(&self) -> (&PictureCache, &str) {
+        (&self.service.pictures, &self.parse.id)
+    }
+
+    async fn names(&self) -> Result<BTreeMap<u32, String>, Error> {
+        self.service.names_of(&self.parse.id).await
+    }
+
+    async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), Error> {
+        self.service.keep_names(&self.parse.id, names).await
+    }
+
+    async fn compute<T: Send + 'static>(
+        self: &Arc<Self>,
+        work: impl FnOnce(&Self) -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        let source = self.clone();
+        self.service.compute(move || work(&source)).await
+    }
+}
+
+/// A stored view. One that can not be read is left out: the others still show the thing.
+fn shot(parse: &Utf8Path, id: InstanceId, at: usize, box_px: [u32; 4]) -> Option<Shot> {
+    let read = |picture| {
+        let file = view(parse, id, at, picture);
+        let decoded = fs::read(&file)
+            .map_err(|e| e.to_string())
+            .and_then(|bytes| image::load_from_memory(&bytes).map_err(|e| e.to_string()));
+        decoded
+            .map(image::DynamicImage::into_rgb8)
+            .inspect_err(|error| tracing::warn!(%file, error, "an evidence picture can not be read"))
+            .ok()
+    };
+    Some(Shot::new(read(Picture::Crop)?, read(Picture::Frame)?, box_px))
+}

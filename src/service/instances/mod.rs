@@ -1,0 +1,101 @@
+//! Instances as the outside sees them, and their evidence pictures.
+
+use super::{Service, parses};
+use crate::error::Error;
+use camino::Utf8PathBuf;
+use uniground_core::scene::{Instance, InstanceId};
+use uniground_core::scene_parsing::evidence::Picture;
+use uniground_types::instances::{InstanceList, InstanceView, ViewPicture};
+
+/// An instance as callers see it.
+fn view_of(instance: Instance, model_name: Option<String>) -> InstanceView {
+    let label = instance.label().to_owned();
+    let Instance {
+        id,
+        aabb,
+        raw_box,
+        oriented_box,
+        point_count,
+        mean_rgb,
+        colours,
+        planarity,
+        structure,
+        support,
+        height_above_floor_m,
+        views,
+        names,
+        given_name: _, // told as the label
+    } = instance;
+    let colours = colours.dominant().into_iter().map(|(name, share)| (name.word().to_owned(), share)).collect();
+    InstanceView {
+        id,
+        label,
+        aabb,
+        raw_box,
+        oriented_box,
+        point_count,
+        mean_rgb,
+        colours,
+        planarity,
+        structure,
+        support,
+        height_above_floor_m,
+        names,
+        model_name: model_name.filter(|name| !name.is_empty()),
+        views,
+    }
+}
+
+impl Service {
+    /// Instances of the current parse in order of id, those after `cursor` only.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
+    pub async fn instances(&self, scene_id: &str, limit: u32, cursor: u32) -> Result<InstanceList, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let (parse, mut names) = (self.loaded_parse(&parse_id).await?, self.names_of(&parse_id).await?);
+        let page = parse.instances.iter().filter(|i| i.id.0 > cursor).take(limit as usize + 1).cloned();
+        let named = |instance: Instance| {
+            let name = names.remove(&instance.id.0);
+            view_of(instance, name)
+        };
+        let mut page: Vec<InstanceView> = page.map(named).collect();
+        let more = page.len() > limit as usize;
+        page.truncate(limit as usize);
+        Ok(InstanceList { next_cursor: page.last().filter(|_| more).map(|i| i.id.0), instances: page })
+    }
+
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
+    pub async fn instance(&self, scene_id: &str, id: InstanceId) -> Result<InstanceView, Error> {
+        let (parse_id, instance) = self.stored_instance(scene_id, id).await?;
+        let name = self.names_of(&parse_id).await?.remove(&id.0);
+        Ok(view_of(instance, name))
+    }
+
+    /// Path of an evidence picture.
+    ///
+    /// # Errors
+    /// [`Error::ViewNotFound`] and those of [`instance`](Self::instance).
+    pub async fn view_picture(&self, scene_id: &str, id: InstanceId, view: u32, picture: ViewPicture) -> Result<Utf8PathBuf, Error> {
+        let (parse_id, instance) = self.stored_instance(scene_id, id).await?;
+        let views = instance.views.len();
+        if view as usize >= views {
+            return Err(Error::ViewNotFound { id, view, views });
+        }
+        let picture = match picture {
+            ViewPicture::Frame => Picture::Frame,
+            ViewPicture::Crop => Picture::Crop,
+        };
+        Ok(parses::view(&self.store.blobs.parse(&parse_id), id, view as usize, picture))
+    }
+
+    /// An instance of a scene's current parse, and the parse's id.
+    async fn stored_instance(&self, scene_id: &str, id: InstanceId) -> Result<(String, Instance), Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        match self.store.instance(&parse_id, id).await? {
+            Some(instance) => Ok((parse_id, instance)),
+            None => Err(Error::InstanceNotFound { scene_id: scene_id.into(), id }),
+        }
+    }
+}

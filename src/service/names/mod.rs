@@ -1,0 +1,119 @@
+//! Naming all instances of a parse up front, as a job: questions with cached names then never wait for it.
+
+use super::answers::StoredScene;
+use super::{Service, Vlm, job_failure};
+use crate::error::Error;
+use crate::jobs::{Job, JobContext, JobFailure, JobKind, Retry};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+use uniground_core::grounding::pipeline::SceneSource;
+use uniground_core::grounding::vlm::naming;
+use uniground_core::models::chat::Session;
+use uniground_core::progress::{Cancelled, Progress};
+use uniground_core::scene::InstanceId;
+use uniground_core::scene_parsing::ParseError;
+
+/// Names the objects of scenes. It waits for a model most of its time: several at once do not stand in each other's way.
+pub struct NamingJob(pub Service);
+
+#[derive(Serialize, Deserialize)]
+pub struct Payload {
+    scene_id: String,
+}
+
+impl JobKind for NamingJob {
+    const NAME: &'static str = "naming";
+    const CONCURRENCY: usize = 4;
+    /// Each call is made with patience already; names that were given are kept, so that another try only asks for the rest.
+    const RETRY: Retry = Retry { interrupted: 10, transient: 1, backoff: Duration::ZERO };
+    type Payload = Payload;
+
+    async fn run(&self, job: JobContext<Payload>) -> Result<String, JobFailure> {
+        self.0.run_naming(job).await.map_err(job_failure)
+    }
+}
+
+impl Service {
+    /// Names every object of a scene's current parse, in the background. What has a name already is not paid for again.
+    ///
+    /// # Errors
+    /// [`Error`]: no model, an unknown or unparsed scene, a full queue.
+    pub async fn start_naming(&self, scene_id: &str) -> Result<Job, Error> {
+        if self.vlm.is_none() {
+            return Err(Error::VlmNotConfigured);
+        }
+        let (scene, _) = self.ready_scene(scene_id).await?;
+        Ok(self.jobs.submit::<NamingJob>(&scene.id, &Payload { scene_id: scene.id.clone() }).await?)
+    }
+
+    /// Names the configured model gave to the instances of a parse.
+    pub(super) async fn names_of(&self, parse_id: &str) -> Result<BTreeMap<u32, String>, Error> {
+        match &self.vlm {
+            Some(vlm) => Ok(self.store.instance_names(parse_id, vlm.name(), naming::NAMING_VERSION).await?),
+            None => Ok(BTreeMap::new()),
+        }
+    }
+
+    /// Keeps names the configured model gave; those given before stay.
+    pub(super) async fn keep_names(&self, parse_id: &str, names: &BTreeMap<u32, String>) -> Result<(), Error> {
+        if let Some(vlm) = &self.vlm {
+            self.store.keep_instance_names(parse_id, vlm.name(), naming::NAMING_VERSION, names).await?;
+        }
+        Ok(())
+    }
+
+    async fn run_naming(&self, JobContext { payload, progress, .. }: JobContext<Payload>) -> Result<String, Error> {
+        let vlm = self.vlm.clone().ok_or(Error::VlmNotConfigured)?;
+        let (_, parse_id) = self.ready_scene(&payload.scene_id).await?;
+        let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let known = self.names_of(&parse_id).await?;
+        let unnamed: Vec<InstanceId> = source
+            .instances()
+            .iter()
+            .filter(|i| i.structure.is_none() && !known.contains_key(&i.id.0))
+            .map(|i| i.id)
+            .collect();
+        let mut named = 0;
+        let sheets: Vec<&[InstanceId]> = unnamed.chunks(naming::PER_SHEET).collect();
+        for (number, ids) in sheets.iter().enumerate() {
+            progress.report("naming", number as f32 / sheets.len() as f32).map_err(ParseError::from)?;
+            let names = tokio::select! {
+                names = self.name_sheet(&vlm, &source, number + 1, ids) => names?,
+                cancelled = until_cancelled(&progress) => return Err(ParseError::from(cancelled).into()),
+            };
+            named += names.values().filter(|name| !name.is_empty()).count();
+        }
+        Ok(format!("{named} of {} objects named by {}", unnamed.len(), vlm.name()))
+    }
+
+    /// Asks for the names of one sheet and keeps them: a job that is resumed goes on with the next.
+    async fn name_sheet(
+        &self,
+        vlm: &Vlm,
+        source: &Arc<StoredScene>,
+        number: usize,
+        ids: &[InstanceId],
+    ) -> Result<BTreeMap<u32, String>, Error> {
+        let wanted = ids.to_vec();
+        let sheet = source.compute(move |source| naming::sheet_of(source, number, &wanted)).await?;
+        let Some((sheet, ids)) = sheet else { return Ok(BTreeMap::new()) };
+        let mut session = Session::new(vlm.model.as_ref(), vlm.budgets(&self.store, None).await?, 1);
+        let asked = session.ask("naming", naming::request(sheet, &ids)).await;
+        vlm.note_spending(&self.store).await?;
+        let names = naming::read(&asked?, &ids);
+        self.keep_names(&source.parse.id, &names).await?;
+        Ok(names)
+    }
+}
+
+async fn until_cancelled(progress: &Progress) -> Cancelled {
+    const LOOK_EVERY: Duration = Duration::from_millis(100);
+    loop {
+        if let Err(cancelled) = progress.check() {
+            return cancelled;
+        }
+        tokio::time::sleep(LOOK_EVERY).await;
+    }
+}

@@ -1,0 +1,122 @@
+//! Scenes as the outside sees them.
+
+mod uploads;
+
+pub use uploads::NewScene;
+
+use super::Service;
+use crate::error::Error;
+use crate::jobs::Job;
+use crate::store::{JobState, ParseRecord, SceneRow};
+use uniground_types::scenes::{Scene, SceneCounts, SceneList, SceneStatus};
+use uploads::check_name;
+
+impl Service {
+    /// # Errors
+    /// [`Error::SceneNotFound`].
+    pub async fn scene(&self, id: &str) -> Result<Scene, Error> {
+        self.present(self.scene_row(id).await?).await
+    }
+
+    /// Scenes newest first, from `cursor` (the id the last page ended with).
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn scenes(&self, limit: u32, cursor: Option<&str>) -> Result<SceneList, Error> {
+        let mut rows = self.store.scenes(limit + 1, cursor).await?;
+        let more = rows.len() > limit as usize;
+        rows.truncate(limit as usize);
+        let next_cursor = rows.last().filter(|_| more).map(|row| row.id.clone());
+        let mut scenes = Vec::with_capacity(rows.len());
+        for row in rows {
+            scenes.push(self.present(row).await?);
+        }
+        Ok(SceneList { scenes, next_cursor })
+    }
+
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::Invalid`] for a name that is none.
+    pub async fn rename_scene(&self, id: &str, name: &str) -> Result<Scene, Error> {
+        check_name("/name", name)?;
+        let row = self.store.rename_scene(id, name).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
+        self.present(row).await
+    }
+
+    /// Deletes a scene with its answers; its parse and files too when no other scene shares them. What it leaves on the disk is out of the
+    /// way at once and removed in the background: gigabytes take their time.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`].
+    pub async fn delete_scene(&self, id: &str) -> Result<(), Error> {
+        self.jobs.cancel_all_of(id).await?;
+        let references = self.content_references.lock().await;
+        let left_over = self.store.delete_scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
+        let trash = self.store.blobs.set_aside(left_over).await?;
+        drop(references);
+        self.store.blobs.remove_later(trash);
+        Ok(())
+    }
+
+    pub(super) async fn scene_row(&self, id: &str) -> Result<SceneRow, Error> {
+        self.store.scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })
+    }
+
+    /// A scene that has a parse, and the parse's id.
+    pub(super) async fn ready_scene(&self, id: &str) -> Result<(SceneRow, String), Error> {
+        let row = self.scene_row(id).await?;
+        match row.parse_id.clone() {
+            Some(parse_id) => Ok((row, parse_id)),
+            None => Err(Error::SceneNotReady { id: row.id, job_id: row.job_id }),
+        }
+    }
+
+    pub(super) async fn job_of(&self, row: &SceneRow) -> Result<Option<Job>, Error> {
+        match &row.job_id {
+            Some(id) => Ok(Some(self.jobs.get(id).await?)),
+            None => Ok(None),
+        }
+    }
+
+    pub(super) async fn present(&self, row: SceneRow) -> Result<Scene, Error> {
+        let job = self.job_of(&row).await?;
+        let parse = match &row.parse_id {
+            Some(id) => self.store.parse(id).await?,
+            None => None,
+        };
+        let status = match (&parse, job.as_ref().map(|job| job.state)) {
+            (Some(_), _) => SceneStatus::Ready,
+            (None, None) => SceneStatus::Uploaded,
+            (None, Some(JobState::Queued | JobState::Running | JobState::Succeeded)) => SceneStatus::Parsing,
+            (None, Some(JobState::Failed | JobState::Cancelled)) => SceneStatus::Failed,
+        };
+        let SceneRow { id, name, content_hash, parse_id: _, parse_version, job_id, created_at, updated_at } = row;
+        let mut scene = Scene {
+            id,
+            name,
+            status,
+            content_hash,
+            parse_version: u32::try_from(parse_version).unwrap_or(0),
+            counts: None,
+            extent: None,
+            import: None,
+            report: None,
+            settings: None,
+            models: None,
+            job_id,
+            error: job.and_then(|job| job.error),
+            created_at,
+            updated_at,
+        };
+        if let Some(ParseRecord { settings, models, import, report, extent }) = parse.map(|parse| parse.record()) {
+            scene.counts = report.as_ref().map(|report| SceneCounts {
+                points: report.points,
+                frames_used: report.frames_used,
+                superpoints: report.superpoints,
+                instances: report.instances,
+            });
+            (scene.extent, scene.import, scene.report) = (extent, import, report);
+            (scene.settings, scene.models) = (Some(settings), Some(models));
+        }
+        Ok(scene)
+    }
+}

@@ -1,0 +1,40 @@
+//! Settings of a stored parse.
+
+use serde_json::Value;
+use uniground_types::settings::{ParseSettings, with_names_of_today};
+
+/// Settings under the names they have today. A value that is none of today's is left at its default: the settings are told to people
+/// and never used again.
+pub(super) fn read(mut stored: Value) -> ParseSettings {
+    with_names_of_today(&mut stored);
+    if let Ok(settings) = serde_json::from_value(stored.clone()) {
+        return settings;
+    }
+    let Ok(mut whole) = serde_json::to_value(ParseSettings::default()) else { return ParseSettings::default() };
+    overlay(&mut whole, &stored, &mut Vec::new());
+    serde_json::from_value(whole).unwrap_or_default()
+}
+
+/// Takes over what is known and can be read, value by value; `path` leads to where `stored` belongs in `whole`.
+fn overlay(whole: &mut Value, stored: &Value, path: &mut Vec<String>) {
+    let pointer: String = path.iter().map(|key| format!("/{key}")).collect();
+    let Some(known) = whole.pointer(&pointer) else { return };
+    if let (Value::Object(_), Value::Object(fields)) = (known, stored) {
+        for (key, value) in fields {
+            path.push(key.clone());
+            overlay(whole, value, path);
+            path.pop();
+        }
+        return;
+    }
+    let before = known.clone();
+    let set = |whole: &mut Value, value: Value| {
+        if let Some(place) = whole.pointer_mut(&pointer) {
+            *place = value;
+        }
+    };
+    set(whole, stored.clone());
+    if serde_json::from_value::<ParseSettings>(whole.clone()).is_err() {
+        set(whole, before);
+    }
+}

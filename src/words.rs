@@ -1,0 +1,60 @@
+//! Words of the command line that stand for values of the pipelines and the API, with a line of help each.
+
+use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use serde::de::DeserializeOwned;
+use uniground_core::models::neural::Provider;
+use uniground_types::question::{EvidenceMode, ReasonerChoice};
+use uniground_types::settings::ParsePreset;
+
+/// What computes.
+pub fn provider() -> impl TypedValueParser<Value = Provider> {
+    words(&[("cpu", ""), ("cuda", ""), ("tensorrt", ""), ("coreml", "")])
+}
+
+pub fn preset() -> impl TypedValueParser<Value = ParsePreset> {
+    words(&[("default", "What measures best over several rooms"), ("paper", "Every value the paper states")])
+}
+
+pub fn reasoner() -> impl TypedValueParser<Value = ReasonerChoice> {
+    words(&[("auto", "A vision-language model when one is configured, else the built-in reasoner"), ("vlm", ""), ("builtin", "")])
+}
+
+pub fn evidence() -> impl TypedValueParser<Value = EvidenceMode> {
+    words(&[
+        ("full", "Photographs of every candidate with every question, as in the paper"),
+        (
+            "cached-names",
+            "Names that a model gave once, and a smaller render; photographs only of candidates the question can not tell apart by name",
+        ),
+    ])
+}
+
+/// Words in the spelling of the command line; the API writes them with underscores.
+fn words<T: DeserializeOwned + Clone + Send + Sync + 'static>(known: &[(&'static str, &'static str)]) -> impl TypedValueParser<Value = T> {
+    let value = |(word, help): &(&'static str, &'static str)| {
+        if help.is_empty() { PossibleValue::new(*word) } else { PossibleValue::new(*word).help(*help) }
+    };
+    PossibleValuesParser::new(known.iter().map(value)).try_map(|word| serde_json::from_value(word.replace('-', "_").into()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::{Arg, Command};
+
+    #[test]
+    fn every_word_stands_for_a_value() {
+        fn check<T: Clone + Send + Sync + 'static>(parser: impl TypedValueParser<Value = T>) {
+            let words: Vec<String> = parser.possible_values().unwrap().map(|value| value.get_name().to_owned()).collect();
+            for word in words {
+                let command = Command::new("x").arg(Arg::new("word").value_parser(parser.clone()));
+                let read = command.try_get_matches_from(["x", &word]);
+                assert!(read.is_ok_and(|read| read.get_one::<T>("word").is_some()), "{word}");
+            }
+        }
+        check(provider());
+        check(preset());
+        check(reasoner());
+        check(evidence());
+    }
+}

@@ -1,0 +1,66 @@
+//! The log of the binary, at the level that is on by default: what went wrong is told once, with the ids to look it up by.
+
+use crate::archives::Scan;
+use crate::server::{Process, finished};
+use reqwest::Method;
+use serde_json::Value;
+use std::fs;
+use std::time::Duration;
+
+fn lines(log: &camino::Utf8Path) -> Vec<Value> {
+    fs::read_to_string(log)
+        .unwrap()
+        .lines()
+        .filter_map(|line| serde_json::from_str(line).ok())
+        .collect()
+}
+
+/// The spans around a line, outermost first.
+fn spans(line: &Value) -> Vec<Value> {
+    line["spans"].as_array().cloned().unwrap_or_default()
+}
+
+#[tokio::test]
+async fn an_error_is_told_once_with_route_request_and_cause() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = camino::Utf8Path::from_path(folder.path()).unwrap();
+    let log = data.join("log");
+    let process = Process::start_logging(&data.join("data"), &log);
+    let created = process.client.create_scene(Some("room"), "application/zip", Scan::neutral().zip()).await.unwrap();
+    let job = finished(&process.client, &created.job.unwrap().id).await;
+    // Somebody takes the cloud away.
+    let parses = data.join("data/blobs/parses");
+    let parse = parses.read_dir_utf8().unwrap().next().unwrap().unwrap().into_path();
+    fs::remove_file(parse.join("cloud.ply")).unwrap();
+    let path = format!("v1/scenes/{}/cloud.ply", created.scene.id);
+    let response = process
+        .client
+        .request(Method::GET, &path)
+        .header("x-request-id", "look-me-up")
+        .send()
+        .await
+        .unwrap();
+    assert_eq!(response.status(), 500);
+    assert_eq!(process.client.request(Method::GET, "v1/scenes/none").send().await.unwrap().status(), 404);
+    tokio::time::sleep(Duration::from_millis(200)).await;
+    process.kill();
+
+    let lines = lines(&log);
+    let about: Vec<&Value> = lines.iter().filter(|line| spans(line).iter().any(|span| span["id"] == "look-me-up")).collect();
+    assert_eq!(about.len(), 1, "{about:#?}");
+    let (line, request) = (about[0], &spans(about[0])[0]);
+    assert_eq!((line["level"].as_str(), line["fields"]["code"].as_str()), (Some("ERROR"), Some("storage_failed")));
+    assert!(line["fields"]["cause"].as_str().unwrap().contains("No such file"), "{line}");
+    assert_eq!(
+        (request["name"].as_str(), request["route"].as_str()),
+        (Some("request"), Some("/v1/scenes/{scene_id}/cloud.ply"))
+    );
+    let of_job: Vec<&Value> = lines.iter().filter(|line| spans(line).iter().any(|span| span["id"] == job.id.as_str())).collect();
+    assert!(of_job.iter().any(|line| line["fields"]["message"] == "job done"), "{of_job:#?}");
+    let job_span = &spans(of_job[0])[0];
+    assert_eq!((job_span["kind"].as_str(), job_span["subject"].as_str()), (Some("parse"), Some(created.scene.id.as_str())));
+    assert!(
+        !lines.iter().any(|line| line["level"] == "ERROR" && line != about[0]),
+        "a caller's mistake is no error of the server's"
+    );
+}
