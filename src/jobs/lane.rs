@@ -85,7 +85,8 @@ impl Jobs {
         let running = Running { cancel: shutdown.child_token(), ..Running::default() };
         self.running().insert(id.clone(), running.clone());
         // From here on a wish to stop finds the token; what was wished before stands in the row.
-        if self.store.is_cancel_requested(&id).await? {
+        let unwanted = self.store.is_cancel_requested(&id).await;
+        if unwanted.inspect_err(|_| drop(self.running().remove(&id)))? {
             running.cancel.cancel();
         }
         let (beating, cancel) = (running.clone(), running.cancel.clone());

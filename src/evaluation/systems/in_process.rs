@@ -220,7 +220,7 @@ impl OpenScene for LocalScene {
         let latency_ms = start.elapsed().as_secs_f64() * 1e3;
         let Answered { grounding, parsed, parser, encoder, reasoner, calls, .. } = answered;
         let scoring = ShortlistScoring::default();
-        let shortlist = shortlist_of(source.as_ref(), &expression.query, &parsed, (false, scoring), SHORTLIST_DEPTH as usize)?;
+        let shortlist = shortlist_of(source.as_ref(), &expression.query, &parsed, scoring, false, SHORTLIST_DEPTH as usize)?;
         Ok(Reply {
             status: grounding.status,
             answer: grounding.answer,

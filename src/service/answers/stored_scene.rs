@@ -23,9 +23,6 @@ pub struct StoredScene {
     pub parse: Arc<LoadedParse>,
 }
 
-/// Photographs per candidate. Paper: 3.
-const MAX_SHOTS: usize = 3;
-
 impl StoredScene {
     pub fn new(service: Service, parse: Arc<LoadedParse>) -> Arc<Self> {
         Arc::new(Self { service, parse })
@@ -71,10 +68,10 @@ impl SceneSource for StoredScene {
         Ok(render_scene)
     }
 
-    fn photographs(&self, instance: &Instance) -> Vec<Shot> {
+    fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
         let folder = self.folder();
-        let views = instance.views.iter().take(MAX_SHOTS).enumerate();
-        views.filter_map(|(k, view)| shot(&folder, instance.id, k, view.box_px)).collect()
+        let shots = instance.views.iter().enumerate().filter_map(|(k, view)| shot(&folder, instance.id, k, view.box_px));
+        shots.take(most).collect()
     }
 
     fn pictures(&self) -> (&PictureCache, &str) {
@@ -98,7 +95,7 @@ impl SceneSource for StoredScene {
     }
 }
 
-/// A stored view. One that can not be read is left out: the others still show the thing.
+/// A stored view; `None`, and a line in the log, where it can not be read.
 fn shot(parse: &Utf8Path, id: InstanceId, at: usize, box_px: [u32; 4]) -> Option<Shot> {
     let read = |picture| {
         let file = view(parse, id, at, picture);

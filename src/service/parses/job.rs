@@ -21,6 +21,9 @@ use uuid::Uuid;
 /// Parses scenes, one at a time: a parse uses every core it gets.
 pub struct ParseJob(pub Service);
 
+/// What came of a parse that was not needed.
+pub(super) const STORED_PARSE_USED: &str = "the stored parse of the same content and settings is used";
+
 /// What a parse is asked to do.
 #[derive(Serialize, Deserialize)]
 pub struct Payload {
@@ -60,7 +63,7 @@ impl Service {
         let scene = self.scene_row(&scene_id).await?;
         if let Some(parse_id) = self.stored_parse(&scene, &settings).await? {
             self.store.set_scene_parse(&scene_id, &parse_id, &job_id).await?;
-            return Ok("the stored parse of the same content and settings is used".into());
+            return Ok(STORED_PARSE_USED.into());
         }
         let (content, kept_in) = (self.store.blobs.content(&scene.content_hash), self.store.blobs.checkpoints(&scene.content_hash));
         // Every stage works on what the import made of the content.

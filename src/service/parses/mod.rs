@@ -38,8 +38,7 @@ impl Service {
         let payload = Payload { scene_id: scene.id.clone(), settings: settings.clone() };
         let job = match self.stored_parse(&scene, settings).await? {
             Some(parse_id) => {
-                let message = "the stored parse of the same content and settings is used";
-                let job = self.jobs.submit_done::<ParseJob>(&scene.id, &payload, message).await?;
+                let job = self.jobs.submit_done::<ParseJob>(&scene.id, &payload, job::STORED_PARSE_USED).await?;
                 self.store.set_scene_parse(&scene.id, &parse_id, &job.id).await?;
                 job
             }

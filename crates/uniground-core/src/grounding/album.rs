@@ -88,12 +88,12 @@ impl SceneSource for AlbumScene {
         Ok(self.album.render_scene.clone())
     }
 
-    fn photographs(&self, instance: &Instance) -> Vec<Shot> {
+    fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
         let shot = |view: &View| {
             let frame = self.album.frames.iter().find(|frame| frame.index == view.frame)?.decode_colour().ok()?;
             Some(Shot::new(evidence::crop(&frame, view), frame, view.box_px))
         };
-        instance.views.iter().filter_map(shot).collect()
+        instance.views.iter().filter_map(shot).take(most).collect()
     }
 
     fn pictures(&self) -> (&PictureCache, &str) {

@@ -106,12 +106,12 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     }
     let (mut calls, parsed, took) = (reading.calls, reading.parsed, start.elapsed());
 
-    let (with_review, encoder) = (review.is_some(), (allow_builtin_encoder, ShortlistScoring::default()));
+    let with_review = review.is_some();
     let decide = (question, parsed.clone());
     let (grounding, context, used) = source
         .compute(move |source| {
             let (question, parsed) = decide;
-            let (appearance, used) = appearance(source, &question.query, &parsed, encoder)?;
+            let (appearance, used) = appearance(source, &question.query, &parsed, ShortlistScoring::default(), allow_builtin_encoder)?;
             let scene = SceneView { instances: source.instances(), extent: source.extent(), appearance: appearance.as_ref() };
             if !with_review {
                 return Ok((decided(scene, &question, parsed, took).1, None, used));
@@ -207,14 +207,15 @@ fn appearance<S: SceneSource>(
     source: &S,
     query: &str,
     parsed: &ParsedQuery,
-    (allow_builtin, scoring): (bool, ShortlistScoring),
+    scoring: ShortlistScoring,
+    allow_builtin_encoder: bool,
 ) -> Result<(Option<Appearance>, UsedEncoder), S::Error> {
     let seen = source.embeddings().and_then(|seen| {
         let looks = |(encoder, embeddings): (&DualEncoder, &Embeddings)| Appearance::of(query, parsed, encoder, embeddings, scoring);
         seen.map(looks).transpose().map_err(|error| QuestionError::Encoder(error).into())
     });
     match seen {
-        Err(error) if allow_builtin => Ok((None, UsedEncoder { name: attributes::NAME.into(), missing: Some(error.to_string()) })),
+        Err(error) if allow_builtin_encoder => Ok((None, UsedEncoder { name: attributes::NAME.into(), missing: Some(error.to_string()) })),
         seen => Ok((seen?, UsedEncoder { name: source.encoder_name(), missing: None })),
     }
 }
@@ -243,7 +244,7 @@ pub async fn shortlist<S: SceneSource>(
 ) -> Result<Shortlist, S::Error> {
     let parsed = parse(&query);
     source
-        .compute(move |source| shortlist_of(source, &query, &parsed, (allow_builtin_encoder, scoring), top_k))
+        .compute(move |source| shortlist_of(source, &query, &parsed, scoring, allow_builtin_encoder, top_k))
         .await
 }
 
@@ -255,10 +256,11 @@ pub fn shortlist_of<S: SceneSource>(
     source: &S,
     query: &str,
     parsed: &ParsedQuery,
-    encoder: (bool, ShortlistScoring),
+    scoring: ShortlistScoring,
+    allow_builtin_encoder: bool,
     top_k: usize,
 ) -> Result<Shortlist, S::Error> {
-    let (appearance, used) = appearance(source, query, parsed, encoder)?;
+    let (appearance, used) = appearance(source, query, parsed, scoring, allow_builtin_encoder)?;
     let scene = SceneView { instances: source.instances(), extent: source.extent(), appearance: appearance.as_ref() };
     let cut = appearance.as_ref().is_some_and(|appearance| appearance.cut);
     Ok(Shortlist { candidates: rank_candidates(scene, parsed, top_k), encoder: used.name, cut })

@@ -36,8 +36,8 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
     /// It can not be read.
     fn render_scene(&self) -> Result<Arc<RenderScene>, Self::Error>;
 
-    /// Photographs that show an instance, best first. One that can not be read is left out: the others still show the thing.
-    fn photographs(&self, instance: &Instance) -> Vec<Shot>;
+    /// At most `most` photographs that show an instance, best first. One that can not be read gives its place to the next.
+    fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot>;
 
     /// The cache of pictures drawn for earlier questions, and what this scene is called in it.
     fn pictures(&self) -> (&PictureCache, &str);
@@ -57,11 +57,11 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
         work: impl FnOnce(&Self) -> Result<T, Self::Error> + Send + 'static,
     ) -> impl Future<Output = Result<T, Self::Error>> + Send;
 
-    /// Photographs of an instance, or views of the cloud where there are none.
-    fn shots(&self, id: InstanceId, render_scene: &RenderScene) -> Vec<Shot> {
+    /// At most `most` photographs of an instance, or views of the cloud where there are none.
+    fn shots(&self, id: InstanceId, most: usize, render_scene: &RenderScene) -> Vec<Shot> {
         let instance = (id.0 as usize).checked_sub(1).and_then(|at| self.instances().get(at));
         let Some(instance) = instance else { return Vec::new() };
-        let photographs = self.photographs(instance);
+        let photographs = self.photographs(instance, most);
         if photographs.is_empty() && !render_scene.cloud.is_empty() { close_ups(render_scene, &instance.aabb) } else { photographs }
     }
 }

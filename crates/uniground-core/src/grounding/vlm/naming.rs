@@ -31,7 +31,7 @@ pub fn sheet_of<S: SceneSource>(source: &S, number: usize, ids: &[InstanceId]) -
     let render_scene = source.render_scene()?;
     let shots: Vec<_> = ids
         .iter()
-        .filter_map(|&id| Some((id, source.shots(id, &render_scene).into_iter().next()?)))
+        .filter_map(|&id| Some((id, source.shots(id, 1, &render_scene).into_iter().next()?)))
         .collect();
     let seen = shots.iter().map(|(id, _)| id.0).collect();
     Ok((!shots.is_empty()).then(|| (sheet(number, &shots), seen)))

@@ -75,7 +75,7 @@ pub fn collect<S: SceneSource>(source: &S, context: &PromptContext, settings: &P
             None => draw_global(context, &render_scene, &source.extent(), &settings.global),
             known => known,
         },
-        || draw_collages(&missing, |id| source.shots(id, &render_scene), settings.collage),
+        || draw_collages(&missing, |id| source.shots(id, settings.collage.max_shots, &render_scene), settings.collage),
     );
     if let Some(picture) = &global {
         cache.globals.put(key_of_global, picture.clone(), picture.jpeg.len());

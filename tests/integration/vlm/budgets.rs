@@ -1,0 +1,76 @@
+//! What a model may cost, and what happens when that is spent.
+
+use super::{QUERY, builtin, by, config, corrections, six_lines, start};
+use crate::script::{Script, Scripted, says};
+use crate::server::{TestServer, ask, problem};
+use serde_json::json;
+use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
+use uniground_types::question::{GroundRequest, ReasonerChoice};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn money_ends() {
+    let script = Script::default();
+    let url = script.serve(vec![says("-")]).await;
+    // 700 and 40 tokens at 1000 and 5000 dollars a million: 0.9 dollars a call, thought to be several before it is made.
+    let dear = VlmConfig { vlm_prompt_usd: 1000.0, vlm_completion_usd: 5000.0, vlm_daily_usd: Some(20.0), ..config(&url) };
+    let (server, scene) = start(dear.clone()).await;
+    let plain = builtin(&server, &scene).await;
+    script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    let limited = |reasoner, usd| GroundRequest { max_cost_usd: Some(usd), ..by(reasoner) };
+
+    // Nothing may be spent: nobody is asked.
+    assert!(!server.client.ground(&scene, &limited(ReasonerChoice::Auto, 0.0)).await.unwrap().degraded);
+    let error = problem(server.client.ground(&scene, &limited(ReasonerChoice::Vlm, 0.0)).await);
+    assert_eq!((error.status, error.code.as_str(), script.calls()), (402, "budget_spent", 0));
+    // Too little for one call.
+    let error = problem(server.client.ground(&scene, &limited(ReasonerChoice::Vlm, 0.5)).await);
+    assert_eq!((error.status, error.code.as_str(), script.calls()), (402, "budget_spent", 0));
+    assert!(error.detail.contains("this question"), "{}", error.detail);
+    let answer = server.client.ground(&scene, &limited(ReasonerChoice::Auto, 0.5)).await.unwrap();
+    assert!(answer.degraded && corrections(&answer).contains("budget of this question"));
+
+    // A server that does not count its tokens is not free.
+    let uncounted = json!({"choices": [{"message": {"content": "Predicted ID: none"}}], "usage": null});
+    script.next(vec![Scripted::Json(200, uncounted)]);
+    let answer = server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await.unwrap();
+    assert!(answer.usage.prompt_tokens > 1000 && answer.usage.cost_usd > 1.0, "{:?}", answer.usage);
+    script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    script.take();
+
+    // The day's money is spent call by call, also by a server that starts again.
+    let mut paid = 0;
+    while server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await.is_ok() {
+        paid += 1;
+        assert!(paid < 20, "the day's budget never ends");
+    }
+    assert!(paid >= 1 && script.calls() == paid);
+    let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();
+    assert!(answer.degraded && corrections(&answer).contains("budget of today"), "{}", corrections(&answer));
+    let data = server.give_back().await;
+    let server = TestServer::start_on(data, LimitsConfig::default(), dear, ModelsConfig::default()).await;
+    let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+    assert_eq!((error.code.as_str(), script.calls()), ("budget_spent", paid));
+    server.stop().await;
+}
+
+/// What can not be held to is refused rather than ignored.
+#[tokio::test(flavor = "multi_thread")]
+async fn budgets_need_prices() {
+    let script = Script::default();
+    let free = VlmConfig { vlm_prompt_usd: 0.0, vlm_completion_usd: 0.0, ..config(&script.serve(vec![says("Predicted ID: none")]).await) };
+    for (wrong, told) in [
+        (VlmConfig { vlm_daily_usd: Some(1.0), ..free.clone() }, "--vlm-daily-usd needs"),
+        (VlmConfig { vlm_prompt_usd: -1.0, ..free.clone() }, "--vlm-prompt-usd: must be 0 or more"),
+        (VlmConfig { vlm_model: None, ..free.clone() }, "--vlm-url needs --vlm-model"),
+    ] {
+        let error = wrong.client(uniground::chat::ReplayCache::Off).map(|_| ()).unwrap_err().to_string();
+        assert!(error.contains(told), "{error}");
+    }
+    let (server, scene) = start(free).await;
+    let limited = GroundRequest { max_cost_usd: Some(1.0), ..ask(QUERY) };
+    let error = problem(server.client.ground(&scene, &limited).await);
+    assert_eq!((error.status, error.errors[0].pointer.as_str(), script.calls()), (422, "/max_cost_usd", 0));
+    let unasked = GroundRequest { reasoner: ReasonerChoice::Builtin, ..limited };
+    assert!(server.client.ground(&scene, &unasked).await.is_ok());
+    server.stop().await;
+}
