@@ -74,9 +74,7 @@ fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken, en
     tokio::spawn(async move {
         // Dropped however the lane ends, so that /readyz learns of it.
         let _ended = ended.drop_guard();
-        if let Err(error) = jobs.run_lane(Arc::new(kind), shutdown).await {
-            tracing::error!(kind = K::NAME, error = &error as &dyn std::error::Error, "a lane of jobs stopped");
-        }
+        jobs.run_lane(Arc::new(kind), shutdown).await;
     })
 }
 

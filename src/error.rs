@@ -1,7 +1,7 @@
 //! Everything that can go wrong in a use case, without HTTP. `http/problem.rs` maps it once.
 
 use crate::jobs::JobsError;
-use crate::store::StoreError;
+use crate::store::{StoreError, is_disk_full};
 use std::io;
 use uniground_core::grounding::pipeline::QuestionError;
 use uniground_core::ingest::IngestError;
@@ -56,6 +56,14 @@ pub enum Error {
     QuestionTimedOut { seconds: f32 },
     #[error("too many questions at once")]
     Overloaded,
+    #[error("the stored parse is damaged ({what}); it is being made anew from the scan: ask again when the scene's job is done")]
+    ParseDamaged { parse_id: String, what: String },
+    #[error("this Idempotency-Key came with another upload before: use a new key for a new scan")]
+    IdempotencyKeyReused,
+    #[error("too many {what} at once: {most} are served")]
+    TooMany { what: &'static str, most: usize },
+    #[error("the upload is too slow: at least {bytes_per_s} bytes a second, and never {silence_s} s of silence")]
+    UploadTooSlow { bytes_per_s: u64, silence_s: u64 },
     #[error("the upload holds more than {max_bytes} bytes")]
     UploadTooLarge { max_bytes: u64 },
     #[error("the upload broke off after {received} bytes")]
@@ -127,10 +135,32 @@ impl Error {
         )
     }
 
+    /// Whether the disk is full.
+    #[must_use]
+    pub fn is_disk_full(&self) -> bool {
+        match self {
+            Self::Store(error) | Self::Jobs(JobsError::Store(error)) => error.is_full(),
+            Self::Io(error) | Self::Ingest(IngestError::Io { source: error, .. }) => is_disk_full(error),
+            _ => false,
+        }
+    }
+
+    /// Whether somebody else holds the database for a moment.
+    #[must_use]
+    pub fn is_store_busy(&self) -> bool {
+        matches!(self, Self::Store(error) | Self::Jobs(JobsError::Store(error)) if error.is_busy())
+    }
+
     /// Stable code of this error, part of the API.
     #[must_use]
     pub fn code(&self) -> &'static str {
         use uniground_core::scene::FrameError;
+        if self.is_disk_full() {
+            return "storage_full";
+        }
+        if self.is_store_busy() {
+            return "storage_busy";
+        }
         match self {
             Self::Ingest(error) => match error {
                 IngestError::ArchiveUnreadable { .. } => "archive_unreadable",
@@ -183,6 +213,10 @@ impl Error {
             Self::EncoderChanged { .. } => "encoder_changed",
             Self::QuestionTimedOut { .. } => "question_timed_out",
             Self::Overloaded => "overloaded",
+            Self::ParseDamaged { .. } => "parse_damaged",
+            Self::IdempotencyKeyReused => "idempotency_key_reused",
+            Self::TooMany { .. } => "overloaded",
+            Self::UploadTooSlow { .. } => "upload_too_slow",
             Self::UploadTooLarge { .. } => "upload_too_large",
             Self::UploadInterrupted { .. } => "upload_interrupted",
             Self::Store(_) | Self::Io(_) => "storage_failed",

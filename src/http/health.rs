@@ -1,9 +1,11 @@
 //! `/healthz`, `/readyz` and `/v1/models`
 
 use super::App;
+use crate::store::StoreHealth;
 use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
 use uniground_types::problem::Problem;
 use uniground_types::service::{Health, ModelList, Readiness};
 
@@ -25,23 +27,24 @@ pub async fn healthz() -> Json<Health> {
 
 /// Whether the service can do its work.
 #[utoipa::path(get, path = "/readyz", tag = "service", responses((status = 200, body = Readiness), (status = 503, body = Readiness)))]
-pub async fn readyz(State(app): State<App>) -> (StatusCode, Json<Readiness>) {
-    let store = app.service.store().clone();
-    let database = store.ping().await.map_err(|error| error.to_string());
-    let blobs = tokio::task::spawn_blocking(move || store.blobs.probe()).await;
-    let blob_folder = blobs.map_err(std::io::Error::other).flatten().map_err(|error| error.to_string());
-    let worker = if app.lane_ended.is_cancelled() { Err("stopped".to_owned()) } else { Ok(()) };
-    let ready = database.is_ok() && blob_folder.is_ok() && worker.is_ok();
-    let word = |check: Result<(), String>| check.err().unwrap_or_else(|| "ok".into());
+pub async fn readyz(State(app): State<App>) -> Response {
+    let StoreHealth { database, blobs, disk } = app.service.store_health().await;
+    let worker = app.lane_ended.is_cancelled().then(|| "stopped".to_owned());
+    let ready = [&database, &blobs, &disk, &worker].iter().all(|trouble| trouble.is_none());
+    let word = |trouble: Option<String>| trouble.unwrap_or_else(|| "ok".into());
     let models = app.service.parse_models();
     let readiness = Readiness {
         ready,
         database: word(database),
-        blob_folder: word(blob_folder),
+        blob_folder: word(blobs),
+        disk: word(disk),
         worker: word(worker),
         masks: models.masks,
         encoder: models.encoder,
         models: app.service.loaded_models().to_vec(),
     };
-    (if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE }, Json(readiness))
+    match ready {
+        true => Json(readiness).into_response(),
+        false => (StatusCode::SERVICE_UNAVAILABLE, [(header::RETRY_AFTER, "5")], Json(readiness)).into_response(),
+    }
 }

@@ -56,13 +56,16 @@ impl From<Error> for Refused {
         let detail = match status {
             // What broke inside is for the log, not for the caller.
             StatusCode::INTERNAL_SERVER_ERROR => Self::internal().0.detail,
+            StatusCode::INSUFFICIENT_STORAGE => "the server's disk is full: delete scenes, or ask its operator".into(),
+            StatusCode::SERVICE_UNAVAILABLE if error.is_store_busy() => "the server's database is busy: try again in a moment".into(),
             _ => error.to_string(),
         };
         let Self(mut problem) = Self::new(status, code, detail);
         match error {
             Error::Invalid { pointer, detail } => problem.errors.push(FieldError { pointer, detail }),
             Error::SceneNotReady { job_id, .. } => problem.job_id = job_id,
-            Error::Overloaded => problem.retry_after_s = Some(1),
+            Error::Overloaded | Error::TooMany { .. } => problem.retry_after_s = Some(1),
+            _ if status == StatusCode::SERVICE_UNAVAILABLE => problem.retry_after_s = Some(2),
             Error::Jobs(JobsError::QueueFull { .. }) => problem.retry_after_s = Some(10),
             _ => {}
         }
@@ -72,6 +75,12 @@ impl From<Error> for Refused {
 
 /// Status of each error. No wildcard over our own kinds: a new one does not compile until somebody decides.
 fn status_of(error: &Error) -> StatusCode {
+    if error.is_disk_full() {
+        return StatusCode::INSUFFICIENT_STORAGE;
+    }
+    if error.is_store_busy() {
+        return StatusCode::SERVICE_UNAVAILABLE;
+    }
     match error {
         Error::Ingest(error) => match error {
             IngestError::ArchiveUnreadable { .. }
@@ -110,7 +119,10 @@ fn status_of(error: &Error) -> StatusCode {
         Error::VlmNotConfigured | Error::VlmFailed { .. } | Error::Model(_) => StatusCode::BAD_GATEWAY,
         Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
-        Error::Overloaded => StatusCode::TOO_MANY_REQUESTS,
+        Error::Overloaded | Error::TooMany { .. } => StatusCode::TOO_MANY_REQUESTS,
+        Error::ParseDamaged { .. } => StatusCode::SERVICE_UNAVAILABLE,
+        Error::IdempotencyKeyReused => StatusCode::UNPROCESSABLE_ENTITY,
+        Error::UploadTooSlow { .. } => StatusCode::REQUEST_TIMEOUT,
         Error::UploadTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
         Error::UploadInterrupted { .. } => StatusCode::BAD_REQUEST,
         Error::Store(_) | Error::Io(_) | Error::Background(_) => StatusCode::INTERNAL_SERVER_ERROR,

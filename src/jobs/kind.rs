@@ -22,7 +22,7 @@ pub trait JobKind: Send + Sync + 'static {
 /// When a job is tried again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Retry {
-    /// How often in all a job is tried that was running when its server died.
+    /// After how many ends of its server in a row, without getting further than before, a job that was running fails.
     pub interrupted: u32,
     /// How often in all a job is tried whose failure may pass.
     pub transient: u32,

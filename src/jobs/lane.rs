@@ -2,7 +2,7 @@
 
 use super::queue::{Pulse, Running};
 use super::{JobContext, JobFailure, JobKind, Jobs, Retry};
-use crate::store::{JobRow, JobState, StoreError};
+use crate::store::{JobRow, JobState, Recovery, StoreError};
 use futures::future::join_all;
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,17 +17,23 @@ const SAVE_EVERY: Duration = Duration::from_millis(500);
 const LOOK_EVERY: Duration = Duration::from_secs(2);
 /// No wait before another try is longer.
 const LONGEST_BACKOFF: Duration = Duration::from_hours(1);
+/// A job that is interrupted again and again without getting further may be what brings its server down: it is taken up at once so often,
+const TAKEN_UP_AT_ONCE: u32 = 3;
+/// and then waits, this long first.
+const WAIT_AFTER_INTERRUPTIONS: Duration = Duration::from_secs(30);
 
 impl Jobs {
     /// Works on the jobs of one kind until `shutdown`, as many at once as the kind allows. Jobs running then are put back and go on after
-    /// the next start. No kind waits for another.
-    ///
-    /// # Errors
-    /// [`StoreError`] when the queue can not be read at start; later trouble with the database is logged and retried.
-    pub async fn run_lane<K: JobKind>(&self, kind: Arc<K>, shutdown: CancellationToken) -> Result<(), StoreError> {
-        self.store.recover_jobs(K::NAME, K::RETRY.interrupted).await?;
+    /// the next start. No kind waits for another. Trouble with the database is logged, and tried again.
+    pub async fn run_lane<K: JobKind>(&self, kind: Arc<K>, shutdown: CancellationToken) {
+        let recovery = Recovery { give_up_after: K::RETRY.interrupted, at_once: TAKEN_UP_AT_ONCE, wait: WAIT_AFTER_INTERRUPTIONS };
+        while let Err(error) = self.store.recover_jobs(K::NAME, recovery).await {
+            tracing::error!(kind = K::NAME, error = &error as &dyn std::error::Error, "jobs of the last server can not be taken up yet");
+            if shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await.is_none() {
+                return;
+            }
+        }
         join_all((0..K::CONCURRENCY.max(1)).map(|_| self.work(&kind, &shutdown))).await;
-        Ok(())
     }
 
     /// Fails what waits but is of no kind this server knows: jobs of a newer server, or of one with other parts.
@@ -129,24 +135,37 @@ impl Jobs {
                 End::Failed { code: "internal".into(), detail: detail.into() }
             }
         };
-        let ended = self.record(&id, end).await;
+        let ended = self.record(&id, &end, shutdown).await;
         self.running().remove(&id);
         ended
     }
 
-    async fn record(&self, id: &str, end: End) -> Result<(), StoreError> {
+    /// Writes down a job's end: until the store takes it, or the server stops. A job whose end nobody knows would run for ever.
+    async fn record(&self, id: &str, end: &End, shutdown: &CancellationToken) -> Result<(), StoreError> {
+        loop {
+            match self.try_to_record(id, end).await {
+                Err(error) if !shutdown.is_cancelled() => {
+                    tracing::error!(error = &error as &dyn std::error::Error, "a job's end can not be recorded yet");
+                    let _ = shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await;
+                }
+                recorded => return recorded,
+            }
+        }
+    }
+
+    async fn try_to_record(&self, id: &str, end: &End) -> Result<(), StoreError> {
         match end {
             End::Done(message) => {
                 tracing::info!(result = message, "job done");
-                self.store.finish_job(id, JobState::Succeeded, Some(&message), None).await
+                self.store.finish_job(id, JobState::Succeeded, Some(message), None).await
             }
             End::PutBack => self.store.requeue_job(id).await,
-            End::Again(wait) => self.store.requeue_job_after(id, wait).await,
+            End::Again(wait) => self.store.requeue_job_after(id, *wait).await,
             End::Cancelled => {
                 tracing::info!("job cancelled");
                 self.store.finish_job(id, JobState::Cancelled, None, None).await
             }
-            End::Failed { code, detail } => self.store.finish_job(id, JobState::Failed, None, Some((&code, &detail))).await,
+            End::Failed { code, detail } => self.store.finish_job(id, JobState::Failed, None, Some((code, detail))).await,
         }
     }
 }

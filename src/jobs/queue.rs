@@ -1,7 +1,7 @@
 //! Submitting, watching and cancelling jobs.
 
 use super::{Job, JobKind, job_of};
-use crate::store::{JobState, Store, StoreError};
+use crate::store::{JobRow, JobState, Store, StoreError};
 use jiff::Timestamp;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -67,8 +67,7 @@ impl Jobs {
         self.check_room::<K>().await?;
         let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
         let row = self.store.insert_job(K::NAME, subject, &payload).await?;
-        self.bell(K::NAME).notify_one();
-        Ok(job_of(row, Timestamp::now()))
+        Ok(self.recorded::<K>(row))
     }
 
     /// Whether another job of this kind may be queued.
@@ -91,14 +90,12 @@ impl Jobs {
         Ok(())
     }
 
-    /// Records a job whose result was there already.
-    ///
-    /// # Errors
-    /// [`JobsError::Store`].
-    pub async fn submit_done<K: JobKind>(&self, subject: &str, payload: &K::Payload, message: &str) -> Result<Job, JobsError> {
-        let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
-        let row = self.store.insert_done_job(K::NAME, subject, &payload, message).await?;
-        Ok(job_of(row, Timestamp::now()))
+    /// A job that somebody recorded, as callers see it; its lane is told if it waits.
+    pub fn recorded<K: JobKind>(&self, row: JobRow) -> Job {
+        if row.state == JobState::Queued {
+            self.bell(K::NAME).notify_one();
+        }
+        job_of(row, Timestamp::now())
     }
 
     /// A job as it stands now.

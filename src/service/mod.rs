@@ -18,11 +18,11 @@ pub use vlm::{Vlm, VlmSettings};
 
 use crate::error::Error;
 use crate::jobs::{JobFailure, Jobs};
-use crate::store::Store;
+use crate::store::{Store, StoreHealth};
 use parses::ParseCache;
 use rayon::ThreadPool;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
@@ -51,6 +51,7 @@ pub struct Service {
     parses: Arc<ParseCache>,
     pictures: Arc<PictureCache>,
     questions: Arc<Semaphore>,
+    uploads: Arc<Semaphore>,
     /// Where parses compute: a pool of its own whose threads give way. Questions keep rayon's global pool.
     parsing: Arc<ThreadPool>,
     /// A vision-language model, where one is configured.
@@ -58,8 +59,11 @@ pub struct Service {
     models: Models,
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
     content_references: Arc<Mutex<()>>,
+    health: Arc<Mutex<Option<(Instant, StoreHealth)>>>,
 }
 
+/// Uploads received at once.
+const MAX_UPLOADS: usize = 16;
 /// How long a question waits for its turn before the server calls itself overloaded.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -74,10 +78,12 @@ impl Service {
             parses: Arc::default(),
             pictures: Arc::default(),
             questions: Arc::new(Semaphore::new(limits.max_concurrent_questions)),
+            uploads: Arc::new(Semaphore::new(MAX_UPLOADS)),
             parsing: Arc::new(parsing),
             vlm: vlm.map(Arc::new),
             models,
             content_references: Arc::default(),
+            health: Arc::default(),
         }
     }
 
@@ -104,9 +110,17 @@ impl Service {
         self.vlm.as_ref().map(|vlm| vlm.name())
     }
 
-    #[must_use]
-    pub fn store(&self) -> &Store {
-        &self.store
+    /// Whether what is stored can be read and written. Looked at once a second at most, however many ask.
+    pub async fn store_health(&self) -> StoreHealth {
+        let mut last = self.health.lock().await;
+        match &*last {
+            Some((at, health)) if at.elapsed() < Duration::from_secs(1) => health.clone(),
+            _ => {
+                let health = self.store.health().await;
+                *last = Some((Instant::now(), health.clone()));
+                health
+            }
+        }
     }
 
     /// Waits for one of the bounded places at work on questions; not for long.

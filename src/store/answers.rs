@@ -1,9 +1,12 @@
 //! Answers, kept as they were given.
 
 use super::records::RECORD_VERSION;
+use super::writer::Writer;
 use super::{Store, StoreError, now};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{FromRow, Row};
+use std::sync::Arc;
+use tokio::sync::{mpsc, oneshot};
 
 /// An answer as stored: the JSON the caller got, whole, and the parse it is about. It is given out again as it is: no version of the
 /// service can fail to read it.
@@ -20,24 +23,84 @@ impl FromRow<'_, SqliteRow> for AnswerRow {
     }
 }
 
-impl Store {
-    /// Keeps an answer; `false` when its scene was deleted meanwhile.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn insert_answer(&self, id: &str, scene_id: &str, parse_id: &str, body: &str) -> Result<bool, StoreError> {
-        let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at, record_version)
-                   SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE EXISTS (SELECT 1 FROM scenes WHERE id = ?2) AND EXISTS (SELECT 1 FROM parses WHERE id = ?3)";
+/// An answer about to be kept.
+#[derive(Debug)]
+pub struct NewAnswer {
+    pub id: String,
+    pub scene_id: String,
+    pub parse_id: String,
+    pub body: String,
+}
+
+struct Waiting {
+    answer: NewAnswer,
+    kept: oneshot::Sender<Result<bool, StoreError>>,
+}
+
+/// Answers that wait to be written. Each is on the disk before its caller hears of it; those that come together are written together, so
+/// that the disk is waited for once.
+#[derive(Clone)]
+pub(super) struct AnswerQueue(mpsc::Sender<Waiting>);
+
+/// Answers that may wait; more wait at the door.
+const MOST_WAITING: usize = 1024;
+/// Answers written as one.
+const MOST_TOGETHER: usize = 128;
+
+impl AnswerQueue {
+    pub fn start(writer: Writer) -> Self {
+        let (sender, mut queue) = mpsc::channel::<Waiting>(MOST_WAITING);
+        tokio::spawn(async move {
+            let mut together = Vec::new();
+            while queue.recv_many(&mut together, MOST_TOGETHER).await > 0 {
+                let (answers, callers): (Vec<_>, Vec<_>) = together.drain(..).map(|waiting| (waiting.answer, waiting.kept)).unzip();
+                // A caller that left needs no word.
+                match write(&writer, &answers).await {
+                    Ok(kept) => callers.into_iter().zip(kept).for_each(|(caller, kept)| drop(caller.send(Ok(kept)))),
+                    Err(error) => {
+                        let error = Arc::new(error);
+                        callers.into_iter().for_each(|caller| drop(caller.send(Err(StoreError::Together(error.clone())))));
+                    }
+                }
+            }
+        });
+        Self(sender)
+    }
+}
+
+/// Writes answers as one; for each, whether its scene and parse were still there.
+async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, StoreError> {
+    let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at, record_version)
+               SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE EXISTS (SELECT 1 FROM scenes WHERE id = ?2) AND EXISTS (SELECT 1 FROM parses WHERE id = ?3)";
+    let time = now();
+    let mut tx = writer.begin().await?;
+    let mut kept = Vec::with_capacity(answers.len());
+    for NewAnswer { id, scene_id, parse_id, body } in answers {
         let inserted = sqlx::query(sql)
             .bind(id)
             .bind(scene_id)
             .bind(parse_id)
             .bind(body)
-            .bind(now())
+            .bind(&time)
             .bind(RECORD_VERSION)
-            .execute(&self.writer)
+            .execute(&mut *tx)
             .await?;
-        Ok(inserted.rows_affected() > 0)
+        kept.push(inserted.rows_affected() > 0);
+    }
+    tx.commit().await?;
+    Ok(kept)
+}
+
+impl Store {
+    /// Keeps an answer; `false` when its scene was deleted meanwhile.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn insert_answer(&self, answer: NewAnswer) -> Result<bool, StoreError> {
+        let (kept, told) = oneshot::channel();
+        let closed = || StoreError::Database(sqlx::Error::PoolClosed);
+        self.answers.0.send(Waiting { answer, kept }).await.map_err(|_| closed())?;
+        told.await.map_err(|_| closed())?
     }
 
     /// # Errors
@@ -47,5 +110,23 @@ impl Store {
             .bind(id)
             .fetch_optional(&self.reader)
             .await?)
+    }
+
+    /// Removes some answers of a scene, few enough that nobody waits long for the database. Their ids; none when none are left.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn delete_some_answers(&self, scene_id: &str) -> Result<Vec<String>, StoreError> {
+        let sql = "DELETE FROM answers WHERE id IN (SELECT id FROM answers WHERE scene_id = ? LIMIT 500) RETURNING id";
+        Ok(sqlx::query_scalar(sql).bind(scene_id).fetch_all(self.writer.pool()).await?)
+    }
+
+    /// Removes some answers that are older than an id; as [`delete_some_answers`](Self::delete_some_answers).
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn delete_some_answers_before(&self, id: &str) -> Result<Vec<String>, StoreError> {
+        let sql = "DELETE FROM answers WHERE id IN (SELECT id FROM answers WHERE id < ? LIMIT 500) RETURNING id";
+        Ok(sqlx::query_scalar(sql).bind(id).fetch_all(self.writer.pool()).await?)
     }
 }

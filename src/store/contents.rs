@@ -1,6 +1,6 @@
 //! Uploaded bytes, by hash.
 
-use super::{Store, StoreError, now};
+use super::{Store, StoreError};
 
 impl Store {
     /// Whether these bytes are stored.
@@ -13,19 +13,5 @@ impl Store {
             .fetch_optional(&self.reader)
             .await?;
         Ok(found.is_some())
-    }
-
-    /// Records bytes whose blob is in place; recording them twice is fine.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn insert_content(&self, hash: &str, bytes: u64) -> Result<(), StoreError> {
-        sqlx::query("INSERT INTO contents (hash, bytes, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
-            .bind(hash)
-            .bind(i64::try_from(bytes).unwrap_or(i64::MAX))
-            .bind(now())
-            .execute(&self.writer)
-            .await?;
-        Ok(())
     }
 }

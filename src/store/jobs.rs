@@ -3,10 +3,9 @@
 use super::{Store, StoreError, now};
 use jiff::Timestamp;
 use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row};
+use sqlx::{FromRow, Row, SqliteConnection};
 use std::time::Duration;
 pub use uniground_types::job::JobState;
-use uuid::Uuid;
 
 /// A job as stored.
 #[derive(Debug, Clone, PartialEq)]
@@ -52,38 +51,63 @@ fn state(word: String) -> sqlx::Result<JobState> {
     JobState::try_from(word).map_err(|error| sqlx::Error::Decode(error.into()))
 }
 
+/// A job about to be recorded.
+pub struct NewJob<'a> {
+    pub kind: &'a str,
+    pub payload: &'a str,
+    /// The parse that was there already, and a sentence about that.
+    pub done: Option<(&'a str, &'a str)>,
+}
+
+pub(super) async fn insert(
+    connection: &mut SqliteConnection,
+    id: &str,
+    kind: &str,
+    subject: &str,
+    payload: &str,
+) -> Result<JobRow, StoreError> {
+    let sql = "INSERT INTO jobs (id, kind, subject, payload, state, created_at) VALUES (?, ?, ?, ?, 'queued', ?) RETURNING *";
+    let row = sqlx::query_as(sql).bind(id).bind(kind).bind(subject).bind(payload).bind(now());
+    Ok(row.fetch_one(connection).await?)
+}
+
+/// Records a job whose result was there already.
+pub(super) async fn insert_done(
+    connection: &mut SqliteConnection,
+    id: &str,
+    kind: &str,
+    subject: &str,
+    payload: &str,
+    message: &str,
+) -> Result<JobRow, StoreError> {
+    let sql = "INSERT INTO jobs (id, kind, subject, payload, state, progress, message, created_at, started_at, finished_at)
+               VALUES (?1, ?2, ?3, ?4, 'succeeded', 1.0, ?5, ?6, ?6, ?6) RETURNING *";
+    let row = sqlx::query_as(sql).bind(id).bind(kind).bind(subject).bind(payload).bind(message).bind(now());
+    Ok(row.fetch_one(connection).await?)
+}
+
+/// How jobs that were interrupted are taken up again.
+#[derive(Debug, Clone, Copy)]
+pub struct Recovery {
+    /// Interruptions in a row, without getting further than before, after which a job fails.
+    pub give_up_after: u32,
+    /// As many are taken up at once; from then on it waits, twice as long each time.
+    pub at_once: u32,
+    /// The first wait.
+    pub wait: Duration,
+}
+
+/// A wait beyond this is none: the clock was set back since it was written down.
+const LONGEST_WAIT: Duration = Duration::from_hours(2);
+
 impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn insert_job(&self, kind: &str, subject: &str, payload: &str) -> Result<JobRow, StoreError> {
-        let sql = "INSERT INTO jobs (id, kind, subject, payload, state, created_at) VALUES (?, ?, ?, ?, 'queued', ?) RETURNING *";
-        Ok(sqlx::query_as(sql)
-            .bind(Uuid::now_v7().to_string())
-            .bind(kind)
-            .bind(subject)
-            .bind(payload)
-            .bind(now())
-            .fetch_one(&self.writer)
-            .await?)
-    }
-
-    /// Records a job whose result was there already.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn insert_done_job(&self, kind: &str, subject: &str, payload: &str, message: &str) -> Result<JobRow, StoreError> {
-        let sql = "INSERT INTO jobs (id, kind, subject, payload, state, progress, message, created_at, started_at, finished_at)
-                   VALUES (?1, ?2, ?3, ?4, 'succeeded', 1.0, ?5, ?6, ?6, ?6) RETURNING *";
-        let id = Uuid::now_v7().to_string();
-        Ok(sqlx::query_as(sql)
-            .bind(id)
-            .bind(kind)
-            .bind(subject)
-            .bind(payload)
-            .bind(message)
-            .bind(now())
-            .fetch_one(&self.writer)
-            .await?)
+        let mut tx = self.writer.begin().await?;
+        let row = insert(&mut tx, &self.new_id(), kind, subject, payload).await?;
+        tx.commit().await?;
+        Ok(row)
     }
 
     /// # Errors
@@ -101,22 +125,27 @@ impl Store {
             .await?)
     }
 
-    /// Takes the oldest queued job of a kind that is due; one UPDATE, so no two workers get the same.
+    /// Takes the oldest queued job of a kind that is due; one UPDATE, so no two workers get the same. `None` also when somebody was faster.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn claim_job(&self, kind: &str) -> Result<Option<JobRow>, StoreError> {
+        let due = "SELECT id FROM jobs WHERE kind = ?1 AND state = 'queued' AND (not_before IS NULL OR not_before <= ?2 OR not_before > ?3)
+                   ORDER BY id LIMIT 1";
+        let (time, too_late) = (now(), after(LONGEST_WAIT));
+        // Looked for among the readers first: a queue that is empty writes nothing.
+        let id: Option<String> = sqlx::query_scalar(due).bind(kind).bind(&time).bind(too_late).fetch_optional(&self.reader).await?;
+        let Some(id) = id else { return Ok(None) };
         let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = ?1, stage = NULL, progress = 0
-                   WHERE id = (SELECT id FROM jobs WHERE kind = ?2 AND state = 'queued' AND (not_before IS NULL OR not_before <= ?1)
-                               ORDER BY id LIMIT 1) RETURNING *";
-        Ok(sqlx::query_as(sql).bind(now()).bind(kind).fetch_optional(&self.writer).await?)
+                   WHERE id = ?2 AND state = 'queued' RETURNING *";
+        Ok(sqlx::query_as(sql).bind(time).bind(id).fetch_optional(self.writer.pool()).await?)
     }
 
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn save_job_progress(&self, id: &str, stage: &str, progress: f32) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET stage = ?, progress = ? WHERE id = ? AND state = 'running'";
-        sqlx::query(sql).bind(stage).bind(progress).bind(id).execute(&self.writer).await?;
+        sqlx::query(sql).bind(stage).bind(progress).bind(id).execute(self.writer.pool()).await?;
         Ok(())
     }
 
@@ -143,7 +172,7 @@ impl Store {
             .bind(detail)
             .bind(now())
             .bind(id)
-            .execute(&self.writer)
+            .execute(self.writer.pool())
             .await?;
         Ok(())
     }
@@ -154,7 +183,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn cancel_queued_job(&self, id: &str) -> Result<bool, StoreError> {
         let sql = "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ? AND state = 'queued'";
-        Ok(sqlx::query(sql).bind(now()).bind(id).execute(&self.writer).await?.rows_affected() > 0)
+        Ok(sqlx::query(sql).bind(now()).bind(id).execute(self.writer.pool()).await?.rows_affected() > 0)
     }
 
     /// Jobs on a subject that are not over.
@@ -173,7 +202,7 @@ impl Store {
     pub async fn requeue_job(&self, id: &str) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = 'queued', attempts = attempts - 1, started_at = NULL, stage = NULL, progress = 0
                    WHERE id = ? AND state = 'running'";
-        sqlx::query(sql).bind(id).execute(&self.writer).await?;
+        sqlx::query(sql).bind(id).execute(self.writer.pool()).await?;
         Ok(())
     }
 
@@ -182,12 +211,9 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn requeue_job_after(&self, id: &str, wait: Duration) -> Result<(), StoreError> {
-        let due = Timestamp::now()
-            .checked_add(jiff::SignedDuration::try_from(wait).unwrap_or_default())
-            .unwrap_or(Timestamp::MAX);
         let sql = "UPDATE jobs SET state = 'queued', not_before = ?, started_at = NULL, stage = NULL, progress = 0
                    WHERE id = ? AND state = 'running'";
-        sqlx::query(sql).bind(due.to_string()).bind(id).execute(&self.writer).await?;
+        sqlx::query(sql).bind(after(wait)).bind(id).execute(self.writer.pool()).await?;
         Ok(())
     }
 
@@ -197,7 +223,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn request_cancel(&self, id: &str) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET cancel_requested = 1 WHERE id = ? AND state = 'running'";
-        sqlx::query(sql).bind(id).execute(&self.writer).await?;
+        sqlx::query(sql).bind(id).execute(self.writer.pool()).await?;
         Ok(())
     }
 
@@ -222,22 +248,38 @@ impl Store {
         Ok(sqlx::query_as(sql).fetch_all(&self.reader).await?)
     }
 
-    /// At start: jobs of a kind that a crashed server left running end as they were asked to, fail once they have brought it down too
-    /// often, or go back to their queue.
+    /// At start: jobs of a kind that a server left running end as they were asked to, or go back to their queue. One that got further than
+    /// ever before starts to count anew; one that did not waits longer each time, and fails in the end: it may be what stops the server.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn recover_jobs(&self, kind: &str, max_attempts: u32) -> Result<(), StoreError> {
+    pub async fn recover_jobs(&self, kind: &str, recovery: Recovery) -> Result<(), StoreError> {
+        let Recovery { give_up_after, at_once, wait } = recovery;
+        let mut tx = self.writer.begin().await?;
         let stop = "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE kind = ? AND state = 'running' AND cancel_requested";
-        sqlx::query(stop).bind(now()).bind(kind).execute(&self.writer).await?;
+        sqlx::query(stop).bind(now()).bind(kind).execute(&mut *tx).await?;
+        let count = "UPDATE jobs SET interruptions = CASE WHEN progress > furthest + 0.001 THEN 1 ELSE interruptions + 1 END,
+                     furthest = max(furthest, progress) WHERE kind = ? AND state = 'running'";
+        sqlx::query(count).bind(kind).execute(&mut *tx).await?;
         let give_up = "UPDATE jobs SET state = 'failed', error_code = 'interrupted', finished_at = ?,
-                       error = 'the server stopped ' || attempts || ' times while this job ran'
-                       WHERE kind = ? AND state = 'running' AND attempts >= ?";
-        sqlx::query(give_up).bind(now()).bind(kind).bind(max_attempts).execute(&self.writer).await?;
+                       error = 'the server stopped ' || interruptions || ' times while this job ran, and it got no further'
+                       WHERE kind = ? AND state = 'running' AND interruptions >= ?";
+        sqlx::query(give_up).bind(now()).bind(kind).bind(give_up_after).execute(&mut *tx).await?;
+        for interruptions in at_once..give_up_after {
+            let due = after(wait.saturating_mul(1 << (interruptions - at_once).min(16)).min(LONGEST_WAIT / 2));
+            let sql = "UPDATE jobs SET not_before = ? WHERE kind = ? AND state = 'running' AND interruptions = ?";
+            sqlx::query(sql).bind(due).bind(kind).bind(interruptions).execute(&mut *tx).await?;
+        }
         sqlx::query("UPDATE jobs SET state = 'queued', started_at = NULL, stage = NULL, progress = 0 WHERE kind = ? AND state = 'running'")
             .bind(kind)
-            .execute(&self.writer)
+            .execute(&mut *tx)
             .await?;
-        Ok(())
+        tx.commit().await
     }
+}
+
+/// The time after a wait, as stored.
+fn after(wait: Duration) -> String {
+    let wait = jiff::SignedDuration::try_from(wait).unwrap_or_default();
+    Timestamp::now().checked_add(wait).unwrap_or(Timestamp::MAX).to_string()
 }

@@ -6,28 +6,39 @@
 mod answers;
 mod blobs;
 mod contents;
+mod data_folder;
+mod health;
+mod ids;
 mod jobs;
 mod parses;
 mod records;
 mod scenes;
+mod sweep;
 mod vlm;
+mod writer;
 
-pub use answers::AnswerRow;
-pub use blobs::{Blobs, Scratch};
-pub use jobs::{JobRow, JobState};
+pub use answers::{AnswerRow, NewAnswer};
+pub use blobs::{Blobs, Damage, Look, Scratch};
+pub use health::StoreHealth;
+pub use jobs::{JobRow, JobState, NewJob, Recovery};
 pub use parses::{NewParse, ParseRow};
 pub use records::ParseRecord;
-pub use scenes::SceneRow;
+pub use scenes::{Inserted, NewSceneRow, SceneRow};
+pub use sweep::Strays;
 
+use answers::AnswerQueue;
 use camino::Utf8Path;
+use data_folder::DataFolder;
+use ids::Ids;
 use jiff::Timestamp;
 use sqlx::SqlSafeStr;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
-use std::fs::{self, File, TryLockError};
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
+use tokio::task::spawn_blocking;
+use writer::Writer;
 
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
@@ -39,21 +50,64 @@ pub enum StoreError {
     Blobs(#[from] io::Error),
     #[error("another server uses this data folder")]
     InUse,
+    #[error("it holds other things ({found}) and is no data folder of uniground's: choose an empty one")]
+    NotOurs { found: String },
     #[error("a stored record can not be read")]
     Record(#[from] serde_json::Error),
+    /// What several writes failed of that were made as one.
+    #[error(transparent)]
+    Together(Arc<StoreError>),
+}
+
+impl StoreError {
+    /// Whether the disk is full.
+    #[must_use]
+    pub fn is_full(&self) -> bool {
+        match self {
+            // SQLITE_FULL, and no room for the file readers share.
+            Self::Database(error) => matches!(sqlite_code(error), Some(13 | 4874)),
+            Self::Blobs(error) => is_disk_full(error),
+            Self::Together(error) => error.is_full(),
+            _ => false,
+        }
+    }
+
+    /// Whether somebody else holds the database: it may be free again in a moment.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        match self {
+            Self::Database(sqlx::Error::PoolTimedOut) => true,
+            // SQLITE_BUSY and SQLITE_LOCKED, whatever their extended code.
+            Self::Database(error) => sqlite_code(error).is_some_and(|code| matches!(code & 0xff, 5 | 6)),
+            Self::Together(error) => error.is_busy(),
+            _ => false,
+        }
+    }
+}
+
+fn sqlite_code(error: &sqlx::Error) -> Option<i32> {
+    error.as_database_error()?.code()?.parse().ok()
+}
+
+/// Whether a file could not be written for want of room.
+#[must_use]
+pub fn is_disk_full(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge)
 }
 
 /// Handle to everything stored. Cheap to clone.
 #[derive(Clone)]
 pub struct Store {
     reader: SqlitePool,
-    writer: SqlitePool,
+    writer: Writer,
+    answers: AnswerQueue,
+    ids: Ids,
     pub blobs: Blobs,
-    /// Held as long as the store lives: two servers over one folder would take each other's jobs and files.
-    _lock: Arc<File>,
+    folder: DataFolder,
 }
 
-const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
+/// How long SQLite waits for a lock that somebody else holds.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(2);
 const READERS: u32 = 4;
 
 impl Store {
@@ -62,30 +116,69 @@ impl Store {
     /// # Errors
     /// [`StoreError`] when the folder or the database can not be used.
     pub async fn open(data_dir: &Utf8Path) -> Result<Self, StoreError> {
-        let lock = lock(data_dir)?;
-        let blobs = Blobs::open(data_dir)?;
-        let options = SqliteConnectOptions::new()
-            .filename(data_dir.join("uniground.sqlite"))
-            .create_if_missing(true)
-            .journal_mode(SqliteJournalMode::Wal)
-            .synchronous(SqliteSynchronous::Normal)
-            .foreign_keys(true)
-            .busy_timeout(BUSY_TIMEOUT);
-        let writer = SqlitePoolOptions::new().max_connections(1).connect_with(options.clone()).await?;
-        migrations().run(&writer).await?;
-        let reader = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
-        let store = Self { reader, writer, blobs, _lock: Arc::new(lock) };
-        store.sweep().await?;
+        let store = Self::open_as_it_is(data_dir).await?;
+        store.forget_unused_rows().await?;
+        // What can not be swept is no reason not to serve.
+        if let Err(error) = store.sweep().await {
+            tracing::warn!(error = &error as &dyn std::error::Error, "the data folder could not be swept");
+        }
+        let left_behind = store.blobs.left_behind()?;
+        store.blobs.remove_later(left_behind);
         Ok(store)
     }
 
-    /// Answers when the database does.
+    /// Opens the store and leaves everything where it is.
     ///
     /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn ping(&self) -> Result<(), StoreError> {
-        sqlx::query("SELECT 1").execute(&self.reader).await?;
-        Ok(())
+    /// As [`open`](Self::open).
+    pub async fn open_as_it_is(data_dir: &Utf8Path) -> Result<Self, StoreError> {
+        let path = data_dir.to_owned();
+        let opened = spawn_blocking(move || {
+            let folder = DataFolder::open(&path)?;
+            let blobs = Blobs::open(&path)?;
+            Ok::<_, StoreError>((folder, blobs))
+        });
+        let (folder, blobs) = opened.await.map_err(io::Error::other)??;
+        let options = SqliteConnectOptions::new()
+            .filename(folder.database())
+            .create_if_missing(true)
+            .journal_mode(SqliteJournalMode::Wal)
+            // What a caller was told is stored is on the disk.
+            .synchronous(SqliteSynchronous::Full)
+            .foreign_keys(true)
+            .busy_timeout(BUSY_TIMEOUT);
+        let writer = Writer::open(options.clone()).await?;
+        migrations().run(writer.pool()).await?;
+        let reader = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
+        let newest = "SELECT max(id) FROM (SELECT max(id) AS id FROM scenes UNION ALL SELECT max(id) FROM jobs
+                      UNION ALL SELECT max(id) FROM answers UNION ALL SELECT max(id) FROM parses)";
+        let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
+        let answers = AnswerQueue::start(writer.clone());
+        let store = Self { reader, writer, answers, ids: Ids::after(newest.as_deref()), blobs, folder };
+        store.introduce().await?;
+        Ok(store)
+    }
+
+    /// Lets database and data folder know each other. A database that is new here, or comes from another folder, has no say over files that
+    /// are older than that.
+    async fn introduce(&self) -> Result<(), StoreError> {
+        let known: Option<String> = sqlx::query_scalar("SELECT id FROM data_folder").fetch_optional(&self.reader).await?;
+        if known.as_ref() == Some(&self.folder.id) {
+            return Ok(());
+        }
+        let mut tx = self.writer.begin().await?;
+        sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;
+        // A database of before folders had ids has known its own since its first scan.
+        let since = if known.is_none() { "coalesce((SELECT min(created_at) FROM contents), ?2)" } else { "?2" };
+        let sql = format!("INSERT INTO data_folder (id, since) VALUES (?1, {since})");
+        sqlx::query(sqlx::AssertSqlSafe(sql)).bind(&self.folder.id).bind(now()).execute(&mut *tx).await?;
+        tx.commit().await
+    }
+
+    /// An id for something new, greater than all before it.
+    #[must_use]
+    pub fn new_id(&self) -> String {
+        self.ids.at(Timestamp::now())
     }
 
     /// Closes the database; WAL is checkpointed.
@@ -94,27 +187,24 @@ impl Store {
         self.writer.close().await;
     }
 
-    /// Removes content no scene refers to (the loser of two uploads under one key) and blobs no row speaks of (what a crash
-    /// between writing a blob and its row left behind).
-    async fn sweep(&self) -> Result<(), StoreError> {
+    /// Forgets content no scene refers to: the loser of two uploads under one key.
+    async fn forget_unused_rows(&self) -> Result<(), StoreError> {
         for unused in [
-            "DELETE FROM parses WHERE content_hash NOT IN (SELECT content_hash FROM scenes)",
-            "DELETE FROM contents WHERE hash NOT IN (SELECT content_hash FROM scenes)",
+            "DELETE FROM parses WHERE content_hash NOT IN (SELECT content_hash FROM scenes) AND id NOT IN (SELECT parse_id FROM answers)",
+            "DELETE FROM contents WHERE hash NOT IN (SELECT content_hash FROM scenes) AND hash NOT IN (SELECT content_hash FROM parses)",
         ] {
-            sqlx::query(unused).execute(&self.writer).await?;
+            sqlx::query(unused).execute(self.writer.pool()).await?;
         }
-        let contents: Vec<String> = sqlx::query_scalar("SELECT hash FROM contents").fetch_all(&self.reader).await?;
-        let parses: Vec<String> = sqlx::query_scalar("SELECT id FROM parses").fetch_all(&self.reader).await?;
-        let answers: Vec<String> = sqlx::query_scalar("SELECT id FROM answers").fetch_all(&self.reader).await?;
-        Ok(self.blobs.keep_only(&contents, &parses, &answers)?)
+        Ok(())
     }
 }
 
 /// What brings a database of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 3] = [
+const MIGRATIONS: [(i64, &str, &str); 4] = [
     (1, "scenes parses jobs answers", include_str!("../../migrations/0001_scenes_parses_jobs_answers.sql")),
     (2, "instance names spending", include_str!("../../migrations/0002_instance_names_spending.sql")),
     (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
+    (4, "nothing lost", include_str!("../../migrations/0004_nothing_lost.sql")),
 ];
 
 fn migrations() -> Migrator {
@@ -122,16 +212,6 @@ fn migrations() -> Migrator {
         Migration::new(version, name.into(), MigrationType::Simple, sql.into_sql_str(), false)
     };
     Migrator::with_migrations(MIGRATIONS.iter().map(migration).collect())
-}
-
-fn lock(data_dir: &Utf8Path) -> Result<File, StoreError> {
-    fs::create_dir_all(data_dir)?;
-    let file = File::create(data_dir.join("lock"))?;
-    match file.try_lock() {
-        Ok(()) => Ok(file),
-        Err(TryLockError::WouldBlock) => Err(StoreError::InUse),
-        Err(TryLockError::Error(error)) => Err(error.into()),
-    }
 }
 
 /// The time now, as stored.

@@ -1,7 +1,7 @@
 //! Finished parses and their instances.
 
 use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
-use super::{Store, StoreError, now};
+use super::{SceneRow, Store, StoreError, now};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{FromRow, Row};
 use uniground_core::geometry::boxes::Aabb;
@@ -71,7 +71,7 @@ impl Store {
             .iter()
             .map(|i| Ok((i.id.0, serde_json::to_string(&InstanceRecord::from(i))?)))
             .collect::<Result<Vec<_>, StoreError>>()?;
-        let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.writer.begin().await?;
         let inserted = sqlx::query(
             "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at,
                                  record_version)
@@ -90,6 +90,7 @@ impl Store {
         .execute(&mut *tx)
         .await?;
         if inserted.rows_affected() == 0 {
+            tx.forget().await?;
             return Ok(false);
         }
         for (instance, body) in bodies {
@@ -118,6 +119,33 @@ impl Store {
     pub async fn parse_of(&self, content_hash: &str, settings_hash: &str) -> Result<Option<ParseRow>, StoreError> {
         let sql = "SELECT * FROM parses WHERE content_hash = ? AND settings_hash = ?";
         Ok(sqlx::query_as(sql).bind(content_hash).bind(settings_hash).fetch_optional(&self.reader).await?)
+    }
+
+    /// All parses, in order of time.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn all_parses(&self) -> Result<Vec<ParseRow>, StoreError> {
+        Ok(sqlx::query_as("SELECT * FROM parses ORDER BY id").fetch_all(&self.reader).await?)
+    }
+
+    /// A parse whose files are lost or damaged is not given to anybody any more, so that the next parse of the same content is made anew.
+    /// Answers and scenes keep what they have until then. The scenes that are to be parsed again come back, with the settings.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn retire_parse(&self, id: &str) -> Result<Vec<SceneRow>, StoreError> {
+        let mut tx = self.writer.begin().await?;
+        let sql =
+            "UPDATE parses SET settings_hash = settings_hash || ':retired:' || id WHERE id = ? AND settings_hash NOT LIKE '%:retired:%'";
+        let retired = sqlx::query(sql).bind(id).execute(&mut *tx).await?.rows_affected() > 0;
+        let scenes = sqlx::query_as("SELECT * FROM scenes WHERE parse_id = ? ORDER BY id")
+            .bind(id)
+            .fetch_all(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        // Whoever retired it has had the scenes already.
+        Ok(if retired { scenes } else { Vec::new() })
     }
 
     /// All instances of a parse, in order of id.

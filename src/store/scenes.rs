@@ -1,10 +1,10 @@
 //! Scenes.
 
-use super::{Store, StoreError, now};
+use super::writer::Transaction;
+use super::{JobRow, NewJob, Store, StoreError, now};
 use camino::Utf8PathBuf;
 use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row};
-use uuid::Uuid;
+use sqlx::{FromRow, Row, SqliteConnection};
 
 /// A scene as stored.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -34,44 +34,88 @@ impl FromRow<'_, SqliteRow> for SceneRow {
     }
 }
 
-const SCENE_OF_KEY: &str = "SELECT scenes.* FROM scenes JOIN idempotency_keys ON scene_id = scenes.id WHERE key = ?";
+/// A scene about to be recorded, with what belongs to it. Its content's blob is in place.
+pub struct NewSceneRow<'a> {
+    pub id: &'a str,
+    pub name: &'a str,
+    pub content_hash: &'a str,
+    pub content_bytes: u64,
+    /// An idempotency key, and what identifies the request that came with it.
+    pub key: Option<(&'a str, &'a str)>,
+    /// Parses it, where that was asked for.
+    pub job: Option<NewJob<'a>>,
+}
+
+/// What came of recording a scene.
+pub enum Inserted {
+    New(SceneRow, Option<JobRow>),
+    /// The same key made this one before.
+    MadeBefore(SceneRow),
+    /// The key was used for another request.
+    KeyReused,
+}
+
+async fn made_by_key(connection: &mut SqliteConnection, key: &str) -> sqlx::Result<Option<(SceneRow, Option<String>)>> {
+    let sql = "SELECT scenes.*, request FROM scenes JOIN idempotency_keys ON scene_id = scenes.id WHERE key = ?";
+    let row = sqlx::query(sql).bind(key).fetch_optional(connection).await?;
+    row.map(|row| Ok((SceneRow::from_row(&row)?, row.try_get("request")?))).transpose()
+}
 
 impl Store {
-    /// Inserts a scene; or returns the one that the same key made before, and `false`.
+    /// Records a scene with its content, its key and its first job, as one: there is all of it or nothing.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn insert_scene(
-        &self,
-        name: &str,
-        content_hash: &str,
-        idempotency_key: Option<&str>,
-    ) -> Result<(SceneRow, bool), StoreError> {
-        let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
-        let made_before: Option<SceneRow> = sqlx::query_as(SCENE_OF_KEY).bind(idempotency_key).fetch_optional(&mut *tx).await?;
-        if let Some(scene) = made_before {
-            return Ok((scene, false));
-        }
+    pub async fn insert_scene(&self, new: NewSceneRow<'_>) -> Result<Inserted, StoreError> {
+        let NewSceneRow { id, name, content_hash, content_bytes, key, job } = new;
         let time = now();
-        let scene: SceneRow =
-            sqlx::query_as("INSERT INTO scenes (id, name, content_hash, created_at, updated_at) VALUES (?, ?, ?, ?, ?) RETURNING *")
-                .bind(Uuid::now_v7().to_string())
-                .bind(name)
-                .bind(content_hash)
-                .bind(&time)
-                .bind(&time)
-                .fetch_one(&mut *tx)
-                .await?;
-        if let Some(key) = idempotency_key {
-            sqlx::query("INSERT INTO idempotency_keys (key, scene_id, created_at) VALUES (?, ?, ?)")
-                .bind(key)
-                .bind(&scene.id)
-                .bind(&time)
-                .execute(&mut *tx)
-                .await?;
+        let mut tx = self.writer.begin().await?;
+        if let Some((key, request)) = key {
+            if let Some((scene, before)) = made_by_key(&mut tx, key).await? {
+                tx.forget().await?;
+                // Servers of before requests were noted believed the key.
+                let same = before.is_none_or(|before| before == request);
+                return Ok(if same { Inserted::MadeBefore(scene) } else { Inserted::KeyReused });
+            }
         }
+        sqlx::query("INSERT INTO contents (hash, bytes, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
+            .bind(content_hash)
+            .bind(i64::try_from(content_bytes).unwrap_or(i64::MAX))
+            .bind(&time)
+            .execute(&mut *tx)
+            .await?;
+        let sql = "INSERT INTO scenes (id, name, content_hash, created_at, updated_at) VALUES (?, ?, ?, ?4, ?4)";
+        sqlx::query(sql).bind(id).bind(name).bind(content_hash).bind(&time).execute(&mut *tx).await?;
+        if let Some((key, request)) = key {
+            let sql = "INSERT INTO idempotency_keys (key, scene_id, created_at, request) VALUES (?, ?, ?, ?)";
+            sqlx::query(sql).bind(key).bind(id).bind(&time).bind(request).execute(&mut *tx).await?;
+        }
+        let job = match job {
+            Some(job) => Some(add_job(&mut tx, id, &self.new_id(), job).await?),
+            None => None,
+        };
+        let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = ?").bind(id).fetch_one(&mut *tx).await?;
         tx.commit().await?;
-        Ok((scene, true))
+        Ok(Inserted::New(scene, job))
+    }
+
+    /// Records a job and makes it the scene's own, as one. `None` when the scene is gone.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn insert_scene_job(&self, scene_id: &str, job: NewJob<'_>) -> Result<Option<JobRow>, StoreError> {
+        let mut tx = self.writer.begin().await?;
+        let found: Option<i64> = sqlx::query_scalar("SELECT 1 FROM scenes WHERE id = ?")
+            .bind(scene_id)
+            .fetch_optional(&mut *tx)
+            .await?;
+        if found.is_none() {
+            tx.forget().await?;
+            return Ok(None);
+        }
+        let job = add_job(&mut tx, scene_id, &self.new_id(), job).await?;
+        tx.commit().await?;
+        Ok(Some(job))
     }
 
     /// # Errors
@@ -80,10 +124,12 @@ impl Store {
         Ok(sqlx::query_as("SELECT * FROM scenes WHERE id = ?").bind(id).fetch_optional(&self.reader).await?)
     }
 
+    /// The scene that a key made, and what identifies the request it came with, where that was noted.
+    ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn scene_of_idempotency_key(&self, key: &str) -> Result<Option<SceneRow>, StoreError> {
-        Ok(sqlx::query_as(SCENE_OF_KEY).bind(key).fetch_optional(&self.reader).await?)
+    pub async fn scene_of_idempotency_key(&self, key: &str) -> Result<Option<(SceneRow, Option<String>)>, StoreError> {
+        Ok(made_by_key(&mut *self.reader.acquire().await?, key).await?)
     }
 
     /// Scenes newest first, those before `cursor` (an id) only.
@@ -99,15 +145,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn rename_scene(&self, id: &str, name: &str) -> Result<Option<SceneRow>, StoreError> {
         let sql = "UPDATE scenes SET name = ?, updated_at = ? WHERE id = ? RETURNING *";
-        Ok(sqlx::query_as(sql).bind(name).bind(now()).bind(id).fetch_optional(&self.writer).await?)
-    }
-
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn set_scene_job(&self, id: &str, job_id: &str) -> Result<(), StoreError> {
-        let sql = "UPDATE scenes SET job_id = ?, updated_at = ? WHERE id = ?";
-        sqlx::query(sql).bind(job_id).bind(now()).bind(id).execute(&self.writer).await?;
-        Ok(())
+        Ok(sqlx::query_as(sql).bind(name).bind(now()).bind(id).fetch_optional(self.writer.pool()).await?)
     }
 
     /// Makes a finished parse the scene's own, a new version; unless a later job than `job_id` was asked for meanwhile.
@@ -118,23 +156,32 @@ impl Store {
         // Ids are in order of time.
         let sql = "UPDATE scenes SET parse_version = parse_version + (parse_id IS NOT ?1), parse_id = ?1, updated_at = ?2
                    WHERE id = ?3 AND (job_id IS NULL OR job_id <= ?4)";
-        sqlx::query(sql).bind(parse_id).bind(now()).bind(id).bind(job_id).execute(&self.writer).await?;
+        sqlx::query(sql)
+            .bind(parse_id)
+            .bind(now())
+            .bind(id)
+            .bind(job_id)
+            .execute(self.writer.pool())
+            .await?;
         Ok(())
     }
 
-    /// Removes the rows of a scene with its answers, and those of its content and parses when no other scene shares them. The folders that
-    /// no row speaks of any more come back, for the caller to remove; `None` when there is no such scene.
+    /// Removes the rows of a scene with the last of its answers, and those of its content and parses when no other scene shares them. The
+    /// folders that no row speaks of any more come back, for the caller to remove; `None` when there is no such scene.
     ///
     /// # Errors
     /// [`StoreError`].
     pub async fn delete_scene(&self, id: &str) -> Result<Option<Vec<Utf8PathBuf>>, StoreError> {
-        let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.writer.begin().await?;
         let answers: Vec<String> = sqlx::query_scalar("SELECT id FROM answers WHERE scene_id = ?").bind(id).fetch_all(&mut *tx).await?;
         let content: Option<String> = sqlx::query_scalar("DELETE FROM scenes WHERE id = ? RETURNING content_hash")
             .bind(id)
             .fetch_optional(&mut *tx)
             .await?;
-        let Some(content) = content else { return Ok(None) };
+        let Some(content) = content else {
+            tx.forget().await?;
+            return Ok(None);
+        };
         let shared: i64 = sqlx::query_scalar("SELECT count(*) FROM scenes WHERE content_hash = ?")
             .bind(&content)
             .fetch_one(&mut *tx)
@@ -152,4 +199,31 @@ impl Store {
         tx.commit().await?;
         Ok(Some(folders))
     }
+
+    /// Lets go of the room that was kept for deleting on a full disk; whether there was any.
+    #[must_use]
+    pub fn let_go_of_reserve(&self) -> bool {
+        self.folder.let_go_of_reserve()
+    }
+
+    /// Lays that room aside again, if there is any.
+    pub fn keep_reserve(&self) {
+        if let Err(error) = self.folder.keep_reserve() {
+            tracing::debug!(%error, "no room for the reserve");
+        }
+    }
+}
+
+/// Adds a job on a scene, in somebody's transaction.
+async fn add_job(tx: &mut Transaction, scene_id: &str, id: &str, job: NewJob<'_>) -> Result<JobRow, StoreError> {
+    let NewJob { kind, payload, done } = job;
+    let time = now();
+    let sql = "UPDATE scenes SET job_id = ?, updated_at = ? WHERE id = ?";
+    sqlx::query(sql).bind(id).bind(&time).bind(scene_id).execute(&mut **tx).await?;
+    let Some((parse_id, message)) = done else {
+        return super::jobs::insert(tx, id, kind, scene_id, payload).await;
+    };
+    let sql = "UPDATE scenes SET parse_version = parse_version + (parse_id IS NOT ?1), parse_id = ?1 WHERE id = ?2";
+    sqlx::query(sql).bind(parse_id).bind(scene_id).execute(&mut **tx).await?;
+    super::jobs::insert_done(tx, id, kind, scene_id, payload, message).await
 }

@@ -27,7 +27,7 @@ impl Store {
     ) -> Result<(), StoreError> {
         let sql = "INSERT OR IGNORE INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
                    SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE EXISTS (SELECT 1 FROM parses WHERE id = ?1)";
-        let mut tx = self.writer.begin_with("BEGIN IMMEDIATE").await?;
+        let mut tx = self.writer.begin().await?;
         for (id, name) in names {
             sqlx::query(sql)
                 .bind(parse_id)
@@ -60,7 +60,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn set_spent_on(&self, day: &str, usd: f64) -> Result<(), StoreError> {
         let sql = "INSERT INTO spending (day, usd) VALUES (?1, ?2) ON CONFLICT (day) DO UPDATE SET usd = max(usd, ?2)";
-        sqlx::query(sql).bind(day).bind(usd).execute(&self.writer).await?;
+        sqlx::query(sql).bind(day).bind(usd).execute(self.writer.pool()).await?;
         Ok(())
     }
 }

@@ -27,6 +27,11 @@ impl<V: Clone> Recent<V> {
         Some(value)
     }
 
+    /// Lets go of a value.
+    pub fn remove(&self, key: &str) {
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner).retain(|(known, ..)| known != key);
+    }
+
     /// Keeps a value; the least recently used leave for it.
     pub fn put(&self, key: String, value: V, weight: usize) {
         let mut entries = self.entries.lock().unwrap_or_else(PoisonError::into_inner);

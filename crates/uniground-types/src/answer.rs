@@ -167,6 +167,11 @@ pub struct Usage {
     pub cost_usd: f64,
 }
 
+/// Answers of before this was said were kept.
+fn kept() -> bool {
+    true
+}
+
 /// The answer to a question. `box` is set only when the status is `grounded`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -202,6 +207,9 @@ pub struct Answer {
     /// A built-in part took the place of a model that could not be used, or that never chose a candidate; `trace.corrections` says why.
     #[serde(default)]
     pub degraded: bool,
+    /// `false`: the server could not keep this answer (its disk is full, say). It is given here and can not be asked for again.
+    #[serde(default = "kept")]
+    pub stored: bool,
     /// Convention for left, right, front and back: `paper`, `viewer` or `observer`. "Facing the door" in the question comes before it.
     pub direction_convention: String,
     /// The frame of all boxes here.

@@ -17,12 +17,15 @@ pub struct Health {
 #[derive(Debug, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Readiness {
-    /// Whether database, folder and worker are all `ok`; the HTTP status is 503 otherwise.
+    /// Whether database, folder, disk and worker are all `ok`; the HTTP status is 503 otherwise.
     pub ready: bool,
-    /// `ok`, or why the database does not answer.
+    /// `ok`, or why the database can not be written.
     pub database: String,
-    /// `ok`, or why nothing can be written where scans and results are kept.
+    /// `ok`, or why nothing can be read or written where scans and results are kept.
     pub blob_folder: String,
+    /// `ok`, or how little room is left.
+    #[serde(default)]
+    pub disk: String,
     /// `ok`, or `stopped` when background jobs are no longer worked on.
     pub worker: String,
     /// Where masks come from.

@@ -8,6 +8,7 @@ pub(super) use stored_scene::StoredScene;
 
 use super::{Service, Vlm};
 use crate::error::Error;
+use crate::store::NewAnswer;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::timeout;
@@ -18,7 +19,6 @@ use uniground_core::grounding::{Grounding, Question, ShortlistScoring};
 use uniground_core::models::chat::{Budget, CallRecord, OverBudget};
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
 use uniground_types::question::{GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
-use uuid::Uuid;
 
 impl Service {
     /// Grounds one question in a parsed scene and keeps the answer.
@@ -50,14 +50,17 @@ impl Service {
         let version = u32::try_from(scene.parse_version).unwrap_or(0);
         let mut answer = self.told(&answered, scene.id, version, source.parse.masks.clone());
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
-        self.keep_transcript(&answer, model, answered.calls).await?;
-        if !self
-            .store
-            .insert_answer(&answer.id, &answer.scene_id, &parse_id, &serde_json::to_string(&answer)?)
-            .await?
-        {
-            self.store.blobs.discard(self.store.blobs.answer(&answer.id)).await?;
-            return Err(Error::SceneNotFound { id: answer.scene_id });
+        match self.keep(&answer, model, &parse_id, answered.calls).await {
+            Ok(true) => {}
+            Ok(false) => {
+                self.store.blobs.discard(self.store.blobs.answer(&answer.id)).await?;
+                return Err(Error::SceneNotFound { id: answer.scene_id });
+            }
+            // Who asked wants to know; that it can not be kept is the operator's concern.
+            Err(error) => {
+                tracing::error!(error = &error as &dyn std::error::Error, "an answer is given but can not be kept");
+                (answer.stored, answer.evidence) = (false, Some(Vec::new()));
+            }
         }
         if let Some(include) = request.include {
             let wanted = |part| include.contains(&part);
@@ -66,6 +69,18 @@ impl Service {
             answer.trace = answer.trace.filter(|_| wanted(Include::Trace));
         }
         Ok(answer)
+    }
+
+    /// Keeps an answer with what led to it; `false` when its scene is gone.
+    async fn keep(&self, answer: &Answer, model: &str, parse_id: &str, calls: Vec<CallRecord>) -> Result<bool, Error> {
+        self.keep_transcript(answer, model, calls).await?;
+        let new = NewAnswer {
+            id: answer.id.clone(),
+            scene_id: answer.scene_id.clone(),
+            parse_id: parse_id.to_owned(),
+            body: serde_json::to_string(answer)?,
+        };
+        Ok(self.store.insert_answer(new).await?)
     }
 
     /// The candidates for a query, without reasoning over relations.
@@ -140,7 +155,7 @@ impl Service {
 
     /// What came of a question, as callers are told.
     fn told(&self, answered: &Answered, scene_id: String, parse_version: u32, masks: String) -> Answer {
-        let id = Uuid::now_v7().to_string();
+        let id = self.store.new_id();
         let Answered { grounding, parsed: _, parser, encoder, reasoner, degraded, corrections, calls } = answered.clone();
         let Grounding {
             query,
@@ -176,6 +191,7 @@ impl Service {
             parsed_query,
             models: Models { masks, encoder, parser, reasoner },
             degraded,
+            stored: true,
             direction_convention,
             frame: CoordinateFrame { up: "z".into(), units: "m".into() },
             trace: Some(Trace { calls: calls.iter().map(call).collect(), corrections }),

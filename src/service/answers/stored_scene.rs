@@ -11,8 +11,8 @@ use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::PictureCache;
 use uniground_core::grounding::pipeline::SceneSource;
 use uniground_core::ingest;
-use uniground_core::models::attributes;
 use uniground_core::models::neural::{DualEncoder, Role};
+use uniground_core::models::{attributes, with_causes};
 use uniground_core::render::{RenderScene, Shot};
 use uniground_core::scene::{Embeddings, Instance, InstanceId};
 use uniground_core::scene_parsing::evidence::Picture;
@@ -63,7 +63,11 @@ impl SceneSource for StoredScene {
         if let Some(render_scene) = known.get(&self.parse.id) {
             return Ok(render_scene);
         }
-        let render_scene = Arc::new(RenderScene::of(ingest::read_cloud(&ParseFile::Cloud.of(&self.folder()))?));
+        let file = ParseFile::Cloud.of(&self.folder());
+        self.service.check_file(&self.parse.id, &file)?;
+        // Whoever asked has nothing to do with it.
+        let damaged = |error| Error::ParseDamaged { parse_id: self.parse.id.clone(), what: with_causes(&error) };
+        let render_scene = Arc::new(RenderScene::of(ingest::read_cloud(&file).map_err(damaged)?));
         known.put(self.parse.id.clone(), render_scene.clone(), render_scene.cloud.len());
         Ok(render_scene)
     }
@@ -91,7 +95,10 @@ impl SceneSource for StoredScene {
         work: impl FnOnce(&Self) -> Result<T, Error> + Send + 'static,
     ) -> Result<T, Error> {
         let source = self.clone();
-        self.service.compute(move || work(&source)).await
+        match self.service.compute(move || work(&source)).await {
+            Err(error) => Err(self.service.after_damage(error).await),
+            done => done,
+        }
     }
 }
 

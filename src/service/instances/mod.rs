@@ -87,7 +87,8 @@ impl Service {
             ViewPicture::Frame => Picture::Frame,
             ViewPicture::Crop => Picture::Crop,
         };
-        Ok(parses::view(&self.store.blobs.parse(&parse_id), id, view as usize, picture))
+        self.sound_file(&parse_id, parses::view(&self.store.blobs.parse(&parse_id), id, view as usize, picture))
+            .await
     }
 
     /// An instance of a scene's current parse, and the parse's id.

@@ -1,6 +1,7 @@
 //! Parses that stay in memory, so that a question does not wait for the database or a decoder.
 
 use std::sync::Arc;
+use std::time::SystemTime;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::recent::Recent;
 use uniground_core::render::RenderScene;
@@ -21,15 +22,19 @@ pub struct LoadedParse {
 const PARSES: usize = 64;
 /// Points of clouds that stay in memory, 15 bytes each.
 const POINTS: usize = 8_000_000;
+/// Files whose state is remembered.
+const FILES: usize = 4096;
 
 /// What is known of parses without looking at the disk, by their ids.
 pub struct ParseCache {
     pub loaded: Recent<Arc<LoadedParse>>,
     pub render_scenes: Recent<Arc<RenderScene>>,
+    /// Files that were found to be what was written, by path: their size and time then.
+    pub sound: Recent<(u64, SystemTime)>,
 }
 
 impl Default for ParseCache {
     fn default() -> Self {
-        Self { loaded: Recent::new(PARSES), render_scenes: Recent::new(POINTS) }
+        Self { loaded: Recent::new(PARSES), render_scenes: Recent::new(POINTS), sound: Recent::new(FILES) }
     }
 }

@@ -16,7 +16,6 @@ use uniground_core::parse::{ParsedScan, STAGE_1_VERSION, parse_scan};
 use uniground_core::progress::Progress;
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
-use uuid::Uuid;
 
 /// Parses scenes, one at a time: a parse uses every core it gets.
 pub struct ParseJob(pub Service);
@@ -49,7 +48,7 @@ impl JobKind for ParseJob {
     const NAME: &'static str = "parse";
     const CONCURRENCY: usize = 1;
     /// A scan that could not be parsed can not be parsed tomorrow; a disk that was full may have room.
-    const RETRY: Retry = Retry { interrupted: 3, transient: 2, backoff: Duration::from_secs(5) };
+    const RETRY: Retry = Retry { interrupted: 10, transient: 2, backoff: Duration::from_secs(5) };
     type Payload = Payload;
 
     async fn run(&self, job: JobContext<Payload>) -> Result<String, JobFailure> {
@@ -61,7 +60,7 @@ impl Service {
     async fn run_parse(&self, JobContext { id: job_id, payload, progress }: JobContext<Payload>) -> Result<String, Error> {
         let Payload { scene_id, settings } = payload;
         let scene = self.scene_row(&scene_id).await?;
-        if let Some(parse_id) = self.stored_parse(&scene, &settings).await? {
+        if let Some(parse_id) = self.stored_parse(&scene.content_hash, &settings).await? {
             self.store.set_scene_parse(&scene_id, &parse_id, &job_id).await?;
             return Ok(STORED_PARSE_USED.into());
         }
@@ -69,14 +68,14 @@ impl Service {
         // Every stage works on what the import made of the content.
         let origin = serde_json::to_string(&(STAGE_1_VERSION, &scene.content_hash, &settings.import))?;
         let (blobs, pool, models, job_settings) = (self.store.blobs.clone(), self.parsing.clone(), self.models.clone(), settings.clone());
-        let span = tracing::Span::current();
+        let (span, new_id) = (tracing::Span::current(), self.store.new_id());
         let work = move || {
             let _entered = span.enter();
             fs::create_dir_all(&kept_in)?;
             let (folder, checkpoints) = (blobs.scratch()?, Checkpoints::kept_in(&kept_in, &origin));
             // In the pool of parses: what it does in parallel stays there, and gives way.
             let scan = pool.install(|| parse_content(&content, &job_settings, &models, &checkpoints, &folder, &progress))?;
-            let id = Uuid::now_v7().to_string();
+            let id = new_id;
             blobs.publish(folder, &blobs.parse(&id))?;
             Ok::<_, Error>((id, scan))
         };
@@ -101,7 +100,9 @@ impl Service {
         } else {
             // Somebody parsed the same meanwhile, or the scene is gone.
             self.store.blobs.discard(self.store.blobs.parse(&id)).await?;
-            self.stored_parse(&scene, &settings).await?.ok_or(Error::SceneNotFound { id: scene_id.clone() })?
+            self.stored_parse(&scene.content_hash, &settings)
+                .await?
+                .ok_or(Error::SceneNotFound { id: scene_id.clone() })?
         };
         self.store.set_scene_parse(&scene_id, &parse_id, &job_id).await?;
         let report = &parsed.report;

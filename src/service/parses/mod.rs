@@ -12,12 +12,14 @@ pub use job::ParseJob;
 
 use super::Service;
 use crate::error::Error;
-use crate::jobs::Job;
-use crate::store::{ParseRecord, SceneRow};
-use camino::Utf8PathBuf;
+use crate::jobs::{Job, JobKind};
+use crate::store::{Damage, Look, NewJob, ParseRecord};
+use camino::{Utf8Path, Utf8PathBuf};
 use job::Payload;
 use sha2::{Digest, Sha256};
+use std::fs;
 use std::sync::Arc;
+use tokio::task::spawn_blocking;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::parse::{STAGE_1_VERSION, chosen, names_of};
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
@@ -35,17 +37,19 @@ impl Service {
     /// [`Error`] when the scene is unknown or the queue is full.
     pub async fn start_parse(&self, scene_id: &str, settings: &ParseSettings) -> Result<Job, Error> {
         let scene = self.scene_row(scene_id).await?;
-        let payload = Payload { scene_id: scene.id.clone(), settings: settings.clone() };
-        let job = match self.stored_parse(&scene, settings).await? {
-            Some(parse_id) => {
-                let job = self.jobs.submit_done::<ParseJob>(&scene.id, &payload, job::STORED_PARSE_USED).await?;
-                self.store.set_scene_parse(&scene.id, &parse_id, &job.id).await?;
-                job
-            }
-            None => self.jobs.submit::<ParseJob>(&scene.id, &payload).await?,
-        };
-        self.store.set_scene_job(&scene.id, &job.id).await?;
-        Ok(job)
+        let wanted = self.wanted_parse(&scene.id, &scene.content_hash, settings).await?;
+        if wanted.stored.is_none() {
+            self.jobs.check_room::<ParseJob>().await?;
+        }
+        let row = self.store.insert_scene_job(&scene.id, wanted.job()).await?;
+        let row = row.ok_or_else(|| Error::SceneNotFound { id: scene.id })?;
+        Ok(self.jobs.recorded::<ParseJob>(row))
+    }
+
+    /// What a scene's parse comes to, before it is recorded.
+    pub(super) async fn wanted_parse(&self, scene_id: &str, content_hash: &str, settings: &ParseSettings) -> Result<WantedParse, Error> {
+        let payload = Payload { scene_id: scene_id.to_owned(), settings: settings.clone() };
+        Ok(WantedParse { payload: serde_json::to_string(&payload)?, stored: self.stored_parse(content_hash, settings).await? })
     }
 
     /// Parses a scene again: a preset with single values replaced. What is up was settled at the upload and stays, unless said.
@@ -70,17 +74,80 @@ impl Service {
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoEmbeddings`] when no encoder has seen the scene.
     pub async fn parse_file(&self, scene_id: &str, file: ParseFile) -> Result<Utf8PathBuf, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let path = file.of(&self.store.blobs.parse(&parse_id));
-        if file == ParseFile::Embeddings && !tokio::fs::try_exists(&path).await? {
+        if file == ParseFile::Embeddings && self.loaded_parse(&parse_id).await?.embeddings.is_none() {
             return Err(Error::NoEmbeddings { scene_id: scene_id.into() });
         }
-        Ok(path)
+        self.sound_file(&parse_id, file.of(&self.store.blobs.parse(&parse_id))).await
     }
 
-    /// The parse of a scene's content under these settings and the models they choose, where there is one.
-    async fn stored_parse(&self, scene: &SceneRow, settings: &ParseSettings) -> Result<Option<String>, Error> {
+    /// The parse of a content under these settings and the models they choose, where there is one and its files are.
+    async fn stored_parse(&self, content_hash: &str, settings: &ParseSettings) -> Result<Option<String>, Error> {
         let hash = settings_hash(settings, &names_of(&chosen(settings.models, &self.models)))?;
-        Ok(self.store.parse_of(&scene.content_hash, &hash).await?.map(|parse| parse.id))
+        let Some(parse) = self.store.parse_of(content_hash, &hash).await? else { return Ok(None) };
+        let (blobs, id) = (self.store.blobs.clone(), parse.id.clone());
+        let wrong = spawn_blocking(move || blobs.look(&blobs.parse(&id), Look::Names)).await??;
+        if wrong.is_empty() {
+            return Ok(Some(parse.id));
+        }
+        tracing::warn!(parse_id = parse.id, files = wrong.len(), "a stored parse is not whole");
+        self.retire_parse(&parse.id).await?;
+        Ok(None)
+    }
+
+    /// Has a parse made anew whose files are lost or damaged, for every scene that uses it. Until then the scenes keep what they have.
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn retire_parse(&self, parse_id: &str) -> Result<(), Error> {
+        let settings = self.store.parse(parse_id).await?.map(|parse| parse.record().settings);
+        for scene in self.store.retire_parse(parse_id).await? {
+            let Some(settings) = &settings else { continue };
+            let payload = serde_json::to_string(&Payload { scene_id: scene.id.clone(), settings: settings.clone() })?;
+            let job = NewJob { kind: ParseJob::NAME, payload: &payload, done: None };
+            if let Some(row) = self.store.insert_scene_job(&scene.id, job).await? {
+                tracing::info!(parse_id, scene_id = scene.id, job_id = row.id, "a parse is made anew");
+                self.jobs.recorded::<ParseJob>(row);
+            }
+        }
+        self.parses.loaded.remove(parse_id);
+        Ok(())
+    }
+
+    /// A file of a parse, once it is known to be what was written.
+    ///
+    /// # Errors
+    /// [`Error::ParseDamaged`]: it is lost or damaged, and the parse is being made anew.
+    pub(super) async fn sound_file(&self, parse_id: &str, file: Utf8PathBuf) -> Result<Utf8PathBuf, Error> {
+        let (service, id, path) = (self.clone(), parse_id.to_owned(), file.clone());
+        match spawn_blocking(move || service.check_file(&id, &path)).await? {
+            Ok(()) => Ok(file),
+            Err(error) => Err(self.after_damage(error).await),
+        }
+    }
+
+    /// Whether a file of a parse is what was written; blocks. What was looked at once and has not changed since is believed.
+    pub(super) fn check_file(&self, parse_id: &str, file: &Utf8Path) -> Result<(), Error> {
+        let damaged = |what: String| Error::ParseDamaged { parse_id: parse_id.to_owned(), what };
+        let stamp = |file: &Utf8Path| fs::metadata(file).and_then(|m| Ok((m.len(), m.modified()?)));
+        let now = stamp(file).map_err(|error| damaged(format!("{file}: {error}")))?;
+        if self.parses.sound.get(file.as_str()) == Some(now) {
+            return Ok(());
+        }
+        let folder = self.store.blobs.parse(parse_id);
+        let name = file.strip_prefix(&folder).unwrap_or(file);
+        if let Some(Damage { file, what }) = self.store.blobs.look_at(&folder, name)? {
+            return Err(damaged(format!("{file}: {what}")));
+        }
+        self.parses.sound.put(file.to_string(), now, 1);
+        Ok(())
+    }
+
+    /// Has a damaged parse made anew, if that is what an error is about.
+    pub(super) async fn after_damage(&self, error: Error) -> Error {
+        match &error {
+            Error::ParseDamaged { parse_id, .. } => self.retire_parse(parse_id).await.err().unwrap_or(error),
+            _ => error,
+        }
     }
 
     /// A parse in memory.
@@ -102,6 +169,19 @@ impl Service {
         });
         self.parses.loaded.put(parse_id.to_owned(), parse.clone(), 1);
         Ok(parse)
+    }
+}
+
+/// A parse somebody wants: to be made, or there already.
+pub(super) struct WantedParse {
+    payload: String,
+    pub(super) stored: Option<String>,
+}
+
+impl WantedParse {
+    pub(super) fn job(&self) -> NewJob<'_> {
+        let done = self.stored.as_deref().map(|id| (id, job::STORED_PARSE_USED));
+        NewJob { kind: ParseJob::NAME, payload: &self.payload, done }
     }
 }
 

@@ -35,6 +35,6 @@ impl Service {
         if known.iter().all(|entry| entry.name != name) {
             return Err(Error::ReportPictureNotFound { name: name.into() });
         }
-        Ok(report_files::picture(&self.store.blobs.parse(&parse_id), name))
+        self.sound_file(&parse_id, report_files::picture(&self.store.blobs.parse(&parse_id), name)).await
     }
 }

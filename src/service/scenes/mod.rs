@@ -7,7 +7,8 @@ pub use uploads::NewScene;
 use super::Service;
 use crate::error::Error;
 use crate::jobs::Job;
-use crate::store::{JobState, ParseRecord, SceneRow};
+use crate::store::{JobState, ParseRecord, SceneRow, Scratch};
+use tokio::task::spawn_blocking;
 use uniground_types::scenes::{Scene, SceneCounts, SceneList, SceneStatus};
 use uploads::check_name;
 
@@ -43,18 +44,41 @@ impl Service {
     }
 
     /// Deletes a scene with its answers; its parse and files too when no other scene shares them. What it leaves on the disk is out of the
-    /// way at once and removed in the background: gigabytes take their time.
+    /// way at once and removed in the background: gigabytes take their time. On a full disk the room for it comes from the reserve.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`].
     pub async fn delete_scene(&self, id: &str) -> Result<(), Error> {
-        self.jobs.cancel_all_of(id).await?;
-        let references = self.content_references.lock().await;
-        let left_over = self.store.delete_scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
-        let trash = self.store.blobs.set_aside(left_over).await?;
-        drop(references);
-        self.store.blobs.remove_later(trash);
+        let trash = match self.try_to_delete(id).await {
+            Err(error) if error.is_disk_full() && self.store.let_go_of_reserve() => {
+                tracing::warn!("the disk is full: deleting with what was kept in reserve");
+                self.try_to_delete(id).await
+            }
+            done => done,
+        }?;
+        let store = self.store.clone();
+        spawn_blocking(move || {
+            drop(trash);
+            store.keep_reserve();
+        });
         Ok(())
+    }
+
+    async fn try_to_delete(&self, id: &str) -> Result<Vec<Scratch>, Error> {
+        self.scene_row(id).await?;
+        self.jobs.cancel_all_of(id).await?;
+        // Answers go first, some at a time: nobody waits for the last of a hundred thousand.
+        loop {
+            let answers = self.store.delete_some_answers(id).await?;
+            if answers.is_empty() {
+                break;
+            }
+            let folders = answers.iter().map(|answer| self.store.blobs.answer(answer)).collect();
+            self.store.blobs.remove_later(self.store.blobs.set_aside(folders).await?);
+        }
+        let _references = self.content_references.lock().await;
+        let left_over = self.store.delete_scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
+        Ok(self.store.blobs.set_aside(left_over).await?)
     }
 
     pub(super) async fn scene_row(&self, id: &str) -> Result<SceneRow, Error> {

@@ -2,17 +2,19 @@
 
 use crate::error::Error;
 use crate::jobs::Job;
-use crate::service::{ParseJob, Service};
-use crate::store::Scratch;
+use crate::service::parses::WantedParse;
+use crate::service::{MAX_UPLOADS, ParseJob, Service};
+use crate::store::{Inserted, Look, NewSceneRow, SceneRow, Scratch};
 use bytes::Bytes;
 use camino::Utf8Path;
 use futures::{Stream, StreamExt};
 use sha2::{Digest, Sha256};
 use std::io::Write;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 use tempfile::NamedTempFile;
-use tokio::sync::mpsc;
 use tokio::task::spawn_blocking;
+use tokio::time::timeout;
 use uniground_core::ingest;
 use uniground_core::ingest::archive::{ArchiveKind, unpack};
 use uniground_types::scenes::Scene;
@@ -43,17 +45,45 @@ struct Unpacked {
     name: String,
 }
 
-/// Chunks that may wait for the disk.
-const CHUNKS_AHEAD: usize = 8;
+/// Bytes that are hashed and written at once.
+const WRITE_BYTES: usize = 1 << 20;
+/// An upload that says nothing for so long is given up.
+const SILENCE: Duration = Duration::from_secs(20);
+/// So is one that is slower than this after a while: a scan of a megabyte would take a quarter of an hour.
+const LEAST_BYTES_PER_S: u64 = 1 << 10;
+const WHILE: Duration = Duration::from_secs(30);
 const MAX_NAME_CHARS: usize = 200;
+
+/// An archive being received.
+struct Receiving {
+    file: NamedTempFile,
+    hasher: Sha256,
+    bytes: u64,
+}
+
+impl Receiving {
+    fn write(&mut self, chunks: Vec<Bytes>) -> std::io::Result<()> {
+        for chunk in chunks {
+            self.bytes += chunk.len() as u64;
+            self.hasher.update(&chunk);
+            self.file.write_all(&chunk)?;
+        }
+        Ok(())
+    }
+
+    fn finish(self) -> Received {
+        let hash = self.hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
+        Received { file: self.file, hash, bytes: self.bytes }
+    }
+}
 
 impl Service {
     /// Makes a scene from an uploaded archive and starts parsing it. Nothing is stored unless all of it is fine.
     ///
-    /// The job is there only when parsing was asked for. A known idempotency key returns the scene it made before, unread.
+    /// The job is there only when parsing was asked for. The same request again under its idempotency key returns the scene it made.
     ///
     /// # Errors
-    /// [`Error`]: what is wrong with the archive, or with the server's disk.
+    /// [`Error`]: what is wrong with the archive, or with the server's disk; [`Error::IdempotencyKeyReused`].
     pub async fn create_scene<E>(
         &self,
         new: NewScene,
@@ -63,17 +93,30 @@ impl Service {
         if let Some(name) = &name {
             check_name("/name", name)?;
         }
-        if let Some(key) = &idempotency_key
-            && let Some(row) = self.store.scene_of_idempotency_key(key).await?
-        {
-            let job = self.job_of(&row).await?;
-            return Ok((self.present(row).await?, job));
-        }
-        if parse.is_some() {
+        let made_before = match &idempotency_key {
+            Some(key) => self.store.scene_of_idempotency_key(key).await?,
+            None => None,
+        };
+        if parse.is_some() && made_before.is_none() {
             self.jobs.check_room::<ParseJob>().await?;
         }
-        let received = Arc::new(self.receive(body).await?);
-        let mut unpacked = match self.store.has_content(&received.hash).await? {
+        let received = {
+            let _place = self
+                .uploads
+                .clone()
+                .try_acquire_owned()
+                .map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
+            Arc::new(self.receive(body).await?)
+        };
+        let request = request_of(&received.hash, name.as_deref(), parse.as_ref())?;
+        if let Some((scene, before)) = made_before {
+            // Servers of before requests were noted believed the key.
+            return match before.is_none_or(|before| before == request) {
+                true => self.made_before(scene, parse).await,
+                false => Err(Error::IdempotencyKeyReused),
+            };
+        }
+        let mut unpacked = match self.has_content(&received.hash).await? {
             true => None,
             false => Some(self.unpack(received.clone(), kind).await?),
         };
@@ -84,7 +127,7 @@ impl Service {
             (None, None) => self.archive_name(&received.hash).await?,
         };
         let mut references = self.content_references.lock().await;
-        if unpacked.is_none() && !self.store.has_content(&received.hash).await? {
+        if unpacked.is_none() && !self.has_content(&received.hash).await? {
             // Its last scene was deleted in between.
             drop(references);
             unpacked = Some(self.unpack(received.clone(), kind).await?);
@@ -93,64 +136,88 @@ impl Service {
         if let Some(Unpacked { folder, .. }) = unpacked {
             let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(&received.hash));
             spawn_blocking(move || blobs.publish(folder, &content)).await??;
-            self.store.insert_content(&received.hash, received.bytes).await?;
         }
-        let (row, new) = self.store.insert_scene(&name, &received.hash, idempotency_key.as_deref()).await?;
+        let id = self.store.new_id();
+        let wanted = match &parse {
+            Some(settings) => Some(self.wanted_parse(&id, &received.hash, settings).await?),
+            None => None,
+        };
+        if wanted.as_ref().is_some_and(|wanted| wanted.stored.is_none()) {
+            self.jobs.check_room::<ParseJob>().await?;
+        }
+        let inserted = self.store.insert_scene(NewSceneRow {
+            id: &id,
+            name: &name,
+            content_hash: &received.hash,
+            content_bytes: received.bytes,
+            key: idempotency_key.as_deref().map(|key| (key, request.as_str())),
+            job: wanted.as_ref().map(WantedParse::job),
+        });
+        let inserted = inserted.await?;
         drop(references);
-        match parse {
-            Some(settings) if new => match self.start_parse(&row.id, &settings).await {
-                Ok(job) => Ok((self.scene(&row.id).await?, Some(job))),
-                Err(error) => {
-                    // Refused is refused: no scene that nobody parses stays behind.
-                    self.delete_scene(&row.id).await?;
-                    Err(error)
-                }
-            },
-            _ => {
-                let job = self.job_of(&row).await?;
-                Ok((self.present(row).await?, job))
-            }
+        match inserted {
+            Inserted::New(row, job) => Ok((self.present(row).await?, job.map(|job| self.jobs.recorded::<ParseJob>(job)))),
+            Inserted::MadeBefore(row) => self.made_before(row, parse).await,
+            Inserted::KeyReused => Err(Error::IdempotencyKeyReused),
         }
     }
 
-    /// Streams a body to a temporary file. Hashing and writing happen on a blocking thread; a slow disk slows the sender.
+    /// The scene an idempotency key made. A server that was killed in the middle may have left it without its job.
+    async fn made_before(&self, row: SceneRow, parse: Option<ParseSettings>) -> Result<(Scene, Option<Job>), Error> {
+        let job = match (self.job_of(&row).await?, parse) {
+            (None, Some(settings)) if row.parse_id.is_none() => Some(self.start_parse(&row.id, &settings).await?),
+            (job, _) => job,
+        };
+        Ok((self.scene(&row.id).await?, job))
+    }
+
+    /// Whether these bytes are stored: in the database, and on the disk.
+    async fn has_content(&self, hash: &str) -> Result<bool, Error> {
+        if !self.store.has_content(hash).await? {
+            return Ok(false);
+        }
+        let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(hash));
+        let wrong = spawn_blocking(move || blobs.look(&content, Look::Names)).await??;
+        if !wrong.is_empty() {
+            tracing::warn!(hash, files = wrong.len(), "a stored scan is not whole: it is stored again");
+        }
+        Ok(wrong.is_empty())
+    }
+
+    /// Streams a body to a temporary file, hashed and written off the async threads a megabyte at a time; a slow disk slows the sender.
+    /// Nothing but the connection waits for a sender that is slow.
     async fn receive<E>(&self, mut body: impl Stream<Item = Result<Bytes, E>> + Unpin) -> Result<Received, Error> {
         let max_bytes = self.limits.max_upload_bytes;
-        let (chunks, mut queue) = mpsc::channel::<Bytes>(CHUNKS_AHEAD);
         let tmp = self.store.blobs.tmp().to_owned();
-        let writer = spawn_blocking(move || {
-            let mut file = NamedTempFile::new_in(tmp)?;
-            let (mut hasher, mut bytes) = (Sha256::new(), 0_u64);
-            while let Some(chunk) = queue.blocking_recv() {
-                bytes += chunk.len() as u64;
-                hasher.update(&chunk);
-                file.write_all(&chunk)?;
+        let begun = Instant::now();
+        let file = spawn_blocking(move || NamedTempFile::new_in(tmp)).await??;
+        let mut receiving = Receiving { file, hasher: Sha256::new(), bytes: 0 };
+        let (mut received, mut waiting, mut waiting_bytes) = (0, Vec::new(), 0);
+        let too_slow = || Error::UploadTooSlow { bytes_per_s: LEAST_BYTES_PER_S, silence_s: SILENCE.as_secs() };
+        loop {
+            let chunk = timeout(SILENCE, body.next()).await.map_err(|_| too_slow())?;
+            let is_last = chunk.is_none();
+            if let Some(chunk) = chunk {
+                let chunk = chunk.map_err(|_| Error::UploadInterrupted { received })?;
+                received += chunk.len() as u64;
+                if received > max_bytes {
+                    return Err(Error::UploadTooLarge { max_bytes });
+                }
+                let elapsed = begun.elapsed();
+                if elapsed > WHILE && received < LEAST_BYTES_PER_S * elapsed.as_secs() {
+                    return Err(too_slow());
+                }
+                waiting_bytes += chunk.len();
+                waiting.push(chunk);
             }
-            let hash = hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-            Ok::<_, Error>(Received { file, hash, bytes })
-        });
-        let (mut received, mut interrupted) = (0, false);
-        while let Some(chunk) = body.next().await {
-            let Ok(chunk) = chunk else {
-                interrupted = true;
-                break;
-            };
-            received += chunk.len() as u64;
-            if received > max_bytes {
-                break;
+            if is_last || waiting_bytes >= WRITE_BYTES {
+                let (chunks, mut own) = (std::mem::take(&mut waiting), receiving);
+                waiting_bytes = 0;
+                receiving = spawn_blocking(move || own.write(chunks).map(|()| own)).await??;
             }
-            if chunks.send(chunk).await.is_err() {
-                // The writer gave up: its error says why.
-                break;
+            if is_last {
+                return Ok(receiving.finish());
             }
-        }
-        drop(chunks);
-        // The file is gone before the caller hears of a failure: the writer holds it until here.
-        let written = writer.await?;
-        match (interrupted, received > max_bytes) {
-            (true, _) => Err(Error::UploadInterrupted { received }),
-            (_, true) => Err(Error::UploadTooLarge { max_bytes }),
-            _ => written,
         }
     }
 
@@ -175,6 +242,12 @@ impl Service {
         // Removed in between: it is unpacked again, and called what scenes without a name are called.
         Ok(name_or_scene(read.ok().and_then(|scan| scan.name)))
     }
+}
+
+/// Identifies what was asked for under an idempotency key.
+fn request_of(hash: &str, name: Option<&str>, parse: Option<&ParseSettings>) -> Result<String, Error> {
+    let digest = Sha256::digest(serde_json::to_vec(&(hash, name, parse))?);
+    Ok(digest.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
 /// What an archive calls itself, where that is a name.

@@ -72,6 +72,10 @@ impl IngestError {
         }
     }
 
+    pub(super) fn unsafe_entry(entry: &str, reason: &'static str) -> Self {
+        Self::UnsafeEntry { entry: entry.into(), reason }
+    }
+
     pub(super) fn malformed(file: impl Into<Utf8PathBuf>, reason: impl ToString) -> Self {
         Self::Malformed { file: file.into(), reason: reason.to_string() }
     }

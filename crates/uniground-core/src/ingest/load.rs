@@ -2,7 +2,7 @@
 
 use super::fusion;
 use super::scan::{CameraAxes, RawFrame, Scan};
-use super::{IngestError, clouds, reprojection};
+use super::{IngestError, MAX_POINTS, clouds, reprojection};
 use crate::geometry::boxes::Aabb;
 use crate::geometry::up_axis::UpAxis;
 use crate::geometry::{Isometry3, Point3};
@@ -58,11 +58,11 @@ pub fn load(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> Resu
 /// # Errors
 /// [`IngestError`] naming the file.
 pub fn read_cloud(file: &Utf8Path) -> Result<PointCloud, IngestError> {
-    Ok(clouds::ply::read(file.parent().unwrap_or(file), Utf8Path::new(file.file_name().unwrap_or_default()))?.cloud)
+    Ok(clouds::ply::read(file.parent().unwrap_or(file), Utf8Path::new(file.file_name().unwrap_or_default()), usize::MAX)?.cloud)
 }
 
 fn own_cloud_of(scan: &Scan, file: &Utf8Path, to_z_up: &Isometry3<f32>, warnings: &mut Vec<String>) -> Result<PointCloud, IngestError> {
-    let clouds::ply::Loaded { mut cloud, dropped, without_colour, has_colour } = clouds::ply::read(&scan.root, file)?;
+    let clouds::ply::Loaded { mut cloud, dropped, without_colour, has_colour } = clouds::ply::read(&scan.root, file, MAX_POINTS)?;
     if without_colour > 0 {
         warnings.push(format!("{file}: the colours of {without_colour} points are not numbers: taken as grey"));
     }

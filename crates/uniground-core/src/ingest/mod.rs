@@ -5,6 +5,7 @@
 //! agree. Everything that leaves this module is canonical (metres, Z up, OpenCV cameras, camera-to-world).
 
 pub mod archive;
+mod bounded;
 mod clouds;
 mod error;
 mod formats;
@@ -21,6 +22,11 @@ pub use scan::Scan;
 pub use unpacked::Unpacked;
 
 use camino::Utf8Path;
+
+/// Most points of an upload's own cloud. A room at a point for every 5 mm has fewer.
+pub const MAX_POINTS: usize = 8_000_000;
+/// Most frames of an upload: half an hour of video at 30 frames a second.
+pub const MAX_FRAMES: usize = 54_000;
 
 /// Recognises the layout below `folder` and checks everything that can be checked without decoding pictures.
 ///

@@ -1,7 +1,7 @@
 //! Checks that need no decoded picture: sizes from headers, intrinsics that fit, poses that are rigid.
 
-use super::IngestError;
 use super::scan::{Scan, picture_size};
+use super::{IngestError, MAX_POINTS, clouds};
 use crate::geometry::pose;
 use crate::scene::{FrameIndex, Intrinsics};
 use camino::Utf8Path;
@@ -31,10 +31,8 @@ pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
     if before > 0 && scan.frames.is_empty() {
         return Err(IngestError::NoUsableFrames { reason: format!("all {before} poses are marked as lost (infinite)") });
     }
-    if let Some(cloud) = &scan.cloud
-        && !scan.root.join(cloud).is_file()
-    {
-        return Err(IngestError::MissingFile { file: cloud.clone() });
+    if let Some(cloud) = &scan.cloud {
+        clouds::ply::check(&scan.root, cloud, MAX_POINTS)?;
     }
     for frame in &mut scan.frames {
         let bad_pose = |source| IngestError::BadPose { frame: frame.index, file: frame.pose_file.clone(), source };

@@ -3,7 +3,7 @@
 use super::{Camera, FrameIndex, Intrinsics};
 use crate::geometry::Isometry3;
 use camino::{Utf8Path, Utf8PathBuf};
-use image::{DynamicImage, ImageReader, RgbImage};
+use image::{DynamicImage, ImageReader, Limits, RgbImage};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::io;
@@ -139,7 +139,10 @@ impl FrameRef {
 
     fn read(&self, file: &Utf8Path) -> Result<DynamicImage, FrameError> {
         let unreadable = |source| FrameError::Unreadable { frame: self.index, file: file.file_name_in_scene(), source };
-        let reader = ImageReader::open(file).map_err(unreadable)?.with_guessed_format().map_err(unreadable)?;
+        let mut reader = ImageReader::open(file).map_err(unreadable)?.with_guessed_format().map_err(unreadable)?;
+        let mut limits = Limits::default();
+        limits.max_alloc = Some(MAX_PICTURE_BYTES);
+        reader.limits(limits);
         reader
             .decode()
             .map_err(|source| FrameError::Undecodable { frame: self.index, file: file.file_name_in_scene(), source })
@@ -153,6 +156,9 @@ impl FrameRef {
         Err(FrameError::WrongSize { frame: self.index, file: file.file_name_in_scene(), found_width, found_height, width, height })
     }
 }
+
+/// Memory a picture may take while it is decoded: 40 megapixels with room to spare.
+const MAX_PICTURE_BYTES: u64 = 256 << 20;
 
 trait InScene {
     fn file_name_in_scene(&self) -> Utf8PathBuf;

@@ -1,16 +1,17 @@
 //! PLY: ascii, little and big endian; properties by name in any order; faces are skipped.
 //!
-//! The header, and files whose vertices hold lists or come after other elements, go through the `ply-rs-bw` parser. What
-//! scanners write, scalar vertices first, is read row by row here: it is faster, and ascii may hold `nan`.
+//! The header goes through the `ply-rs-bw` parser. Rows are read here, one block or line at a time: it is faster, ascii may hold `nan`, and
+//! nothing is held in memory because a header says so.
 
 use crate::geometry::{MAX_COORDINATE_M, Point3};
 use crate::ingest::IngestError;
+use crate::ingest::bounded::read_line;
 use crate::scene::PointCloud;
 use camino::Utf8Path;
 use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::{ElementDef, Encoding, Property, PropertyAccess, PropertyAccessResult, PropertyType, ScalarType};
+use ply_rs_bw::ply::{DefaultElement, ElementDef, Encoding, Header, PropertyType, ScalarType};
 use std::fs::File;
-use std::io::{BufRead, BufReader};
+use std::io::{self, BufRead, BufReader, Read};
 
 /// A cloud and how many of its points were dropped for coordinates that are not finite.
 #[derive(Debug)]
@@ -22,50 +23,41 @@ pub struct Loaded {
     pub has_colour: bool,
 }
 
-/// Reads a PLY file. Points without colour come out mid-grey.
+const MAX_HEADER_BYTES: usize = 64 << 10;
+/// Properties of all elements together.
+const MAX_PROPERTIES: usize = 256;
+/// A line of an ascii file: one row.
+const MAX_LINE_BYTES: u64 = 64 << 10;
+/// Bytes of rows read at once.
+const BLOCK_BYTES: usize = 64 << 10;
+
+/// Looks at the header of a PLY file: whether its vertices can be read, and how many it announces.
 ///
 /// # Errors
 /// [`IngestError`] naming `file` (a path below `root`).
-pub fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Loaded, IngestError> {
+pub fn check(root: &Utf8Path, file: &Utf8Path, max_points: usize) -> Result<(), IngestError> {
+    open(root, file, max_points).map(drop)
+}
+
+/// Reads a PLY file of at most so many points. Points without colour come out mid-grey.
+///
+/// # Errors
+/// [`IngestError`] naming `file` (a path below `root`).
+pub fn read(root: &Utf8Path, file: &Utf8Path, max_points: usize) -> Result<Loaded, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
-    let source = File::open(root.join(file)).map_err(|source| IngestError::Io { file: file.to_owned(), source })?;
-    let bytes = source.metadata().map_or(u64::MAX, |m| m.len());
-    let mut reader = Reader::new(BufReader::with_capacity(1 << 20, source));
-    let parser = Parser::<Vertex>::new();
-    let header = parser.read_header(&mut reader).map_err(|e| malformed(format!("not a PLY file: {e}")))?;
-    let vertex = header.elements.get("vertex").ok_or_else(|| malformed("it has no vertex element".into()))?;
-    for axis in ["x", "y", "z"] {
-        if !vertex.properties.contains_key(axis) {
-            return Err(malformed(format!("its vertices have no property {axis}")));
+    let (header, mut source) = open(root, file, max_points)?;
+    let mut loaded = Loaded { cloud: PointCloud::default(), dropped: 0, without_colour: 0, has_colour: false };
+    for element in header.elements.values() {
+        let rows = Rows::of(element, &header.encoding);
+        if element.name != "vertex" {
+            rows.skip(&mut source, element.count).map_err(|e| malformed(format!("{}: {e}", element.name)))?;
+            continue;
         }
-    }
-    // Even the tersest row takes three bytes: a count that can not be there is a lie, not a reason to allocate.
-    if vertex.count as u64 > bytes / 3 {
-        return Err(malformed(format!("it announces {} vertices but has only {bytes} bytes", vertex.count)));
-    }
-    // The same for what comes before the vertices: those rows are read too.
-    if let Some(liar) = header
-        .elements
-        .values()
-        .find(|e| e.count as u64 > bytes || (e.properties.is_empty() && e.count > 0))
-    {
-        return Err(malformed(format!("it announces {} rows of {:?} but has only {bytes} bytes", liar.count, liar.name)));
-    }
-    let has_colour = ["red", "green", "blue"].iter().all(|c| vertex.properties.contains_key(*c));
-    let vertices_first = header.elements.values().next().is_some_and(|e| e.name == "vertex");
-    let mut loaded = Loaded { cloud: PointCloud::default(), dropped: 0, without_colour: 0, has_colour };
-    if vertices_first && let Some(row) = Row::of(vertex) {
-        row.read(reader.into_inner(), vertex.count, &header.encoding, &mut loaded).map_err(malformed)?;
-    } else {
-        for element in header.elements.values() {
-            let rows = parser
-                .read_payload_for_element(&mut reader, element, &header)
-                .map_err(|e| malformed(e.to_string()))?;
-            if element.name == "vertex" {
-                rows.iter().for_each(|v| loaded.push(v));
-                break;
-            }
-        }
+        loaded.has_colour = ["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c));
+        loaded.cloud.positions.reserve_exact(element.count);
+        loaded.cloud.colours.reserve_exact(element.count);
+        rows.read(&mut source, element.count, &mut loaded).map_err(malformed)?;
+        break;
     }
     let far = |p: &&Point3<f32>| p.iter().any(|c| c.abs() > MAX_COORDINATE_M);
     if let Some(p) = loaded.cloud.positions.iter().find(far) {
@@ -78,6 +70,62 @@ pub fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Loaded, IngestError> {
         return Err(IngestError::EmptyCloud { file: file.to_owned() });
     }
     Ok(loaded)
+}
+
+/// The header, looked at, and the file where its rows begin.
+fn open(root: &Utf8Path, file: &Utf8Path, max_points: usize) -> Result<(Header, BufReader<File>), IngestError> {
+    let malformed = |reason: String| IngestError::malformed(file, reason);
+    let source = File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let bytes = source.metadata().map_or(u64::MAX, |m| m.len());
+    let mut source = BufReader::with_capacity(1 << 20, source);
+    let text = header_text(&mut source).map_err(|e| malformed(format!("not a PLY file: {e}")))?;
+    let header = Parser::<DefaultElement>::new()
+        .read_header(&mut Reader::new(&text[..]))
+        .map_err(|e| malformed(format!("not a PLY file: {e}")))?;
+    let properties: usize = header.elements.values().map(|element| element.properties.len()).sum();
+    if properties > MAX_PROPERTIES {
+        return Err(malformed(format!("it announces {properties} properties, {MAX_PROPERTIES} are read at most")));
+    }
+    let vertex = header.elements.get("vertex").ok_or_else(|| malformed("it has no vertex element".into()))?;
+    for axis in ["x", "y", "z"] {
+        if !vertex.properties.contains_key(axis) {
+            return Err(malformed(format!("its vertices have no property {axis}")));
+        }
+    }
+    if vertex.count > max_points {
+        return Err(malformed(format!(
+            "it announces {} points, {max_points} are read at most: thin it out first, a point for every 5 mm is plenty",
+            vertex.count
+        )));
+    }
+    // Even the tersest row takes three bytes: a count that can not be there is a lie, not a reason to allocate.
+    if vertex.count as u64 > bytes / 3 {
+        return Err(malformed(format!("it announces {} vertices but has only {bytes} bytes", vertex.count)));
+    }
+    // The same for what comes before the vertices: those rows are read too.
+    let lies = |e: &&ElementDef| e.count as u64 > bytes || (e.properties.is_empty() && e.count > 0);
+    if let Some(liar) = header.elements.values().find(lies) {
+        return Err(malformed(format!("it announces {} rows of {:?} but has only {bytes} bytes", liar.count, liar.name)));
+    }
+    Ok((header, source))
+}
+
+/// The lines up to `end_header`, that one included.
+fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
+    let mut text = Vec::new();
+    loop {
+        let line_start = text.len();
+        let most = (MAX_HEADER_BYTES - text.len()) as u64;
+        if source.take(most).read_until(b'\n', &mut text)? == 0 {
+            let reason = if most == 0 { "its header does not end" } else { "it ends within its header" };
+            return Err(io::Error::other(reason));
+        }
+        match text[line_start..].trim_ascii() {
+            b"end_header" => return Ok(text),
+            line if line_start == 0 && line != b"ply" => return Err(io::Error::other("it does not begin with \"ply\"")),
+            _ => {}
+        }
+    }
 }
 
 impl Loaded {
@@ -103,148 +151,220 @@ struct Vertex {
 
 const GREY: u8 = 128;
 
-impl PropertyAccess for Vertex {
-    fn new() -> Self {
-        Self { position: [f32::NAN; 3], colour: [GREY; 3], nan_colour: false }
-    }
-
-    fn set_property(&mut self, name: &str, property: Property) -> PropertyAccessResult {
-        let value = match property {
-            Property::Char(v) => f64::from(v),
-            Property::UChar(v) => f64::from(v),
-            Property::Short(v) => f64::from(v),
-            Property::UShort(v) => f64::from(v),
-            Property::Int(v) => f64::from(v),
-            Property::UInt(v) => f64::from(v),
-            Property::Float(v) => f64::from(v),
-            Property::Double(v) => v,
-            _ => return PropertyAccessResult::Ignored,
-        };
-        let scale = ColourScale::of(&property);
-        self.set(name, value, scale);
-        PropertyAccessResult::Set
-    }
+/// A property that matters.
+#[derive(Clone, Copy)]
+enum Field {
+    Coordinate(usize),
+    Channel(usize),
 }
 
-/// How a colour channel's type maps to 8 bits: bytes as they are, 16-bit by 1/257, floats from `0..=1`.
-#[derive(Clone, Copy)]
-struct ColourScale(f64);
-
-impl ColourScale {
-    fn of(property: &Property) -> Self {
-        Self(match property {
-            Property::UShort(_) | Property::Short(_) => 1.0 / 257.0,
-            Property::Float(_) | Property::Double(_) => 255.0,
-            _ => 1.0,
-        })
-    }
-
-    fn of_type(scalar: &ScalarType) -> Self {
-        Self(match scalar {
-            ScalarType::UShort | ScalarType::Short => 1.0 / 257.0,
-            ScalarType::Float | ScalarType::Double => 255.0,
-            _ => 1.0,
-        })
+impl Field {
+    fn of(name: &str) -> Option<Self> {
+        let at = |names: [&str; 3]| names.iter().position(|known| *known == name);
+        at(["x", "y", "z"])
+            .map(Self::Coordinate)
+            .or_else(|| at(["red", "green", "blue"]).map(Self::Channel))
     }
 }
 
 impl Vertex {
-    fn set(&mut self, name: &str, value: f64, scale: ColourScale) {
-        // Out-of-range channels saturate: `as` clamps.
-        let channel = if value.is_nan() { GREY } else { (value * scale.0).round() as u8 };
-        self.nan_colour |= value.is_nan() && matches!(name, "red" | "green" | "blue");
-        match name {
-            "x" => self.position[0] = value as f32,
-            "y" => self.position[1] = value as f32,
-            "z" => self.position[2] = value as f32,
-            "red" => self.colour[0] = channel,
-            "green" => self.colour[1] = channel,
-            "blue" => self.colour[2] = channel,
-            _ => {}
-        }
+    fn new() -> Self {
+        Self { position: [f32::NAN; 3], colour: [GREY; 3], nan_colour: false }
     }
-}
 
-/// Layout of a vertex row made of scalars only.
-struct Row {
-    bytes: usize,
-    columns: usize,
-    /// The properties that matter: name, column, offset in bytes, type.
-    fields: Vec<(String, usize, usize, ScalarType)>,
-}
-
-impl Row {
-    fn of(vertex: &ElementDef) -> Option<Self> {
-        let mut row = Self { bytes: 0, columns: 0, fields: Vec::new() };
-        for property in vertex.properties.values() {
-            let PropertyType::Scalar(scalar) = &property.data_type else { return None };
-            if ["x", "y", "z", "red", "green", "blue"].contains(&property.name.as_str()) {
-                row.fields.push((property.name.clone(), row.columns, row.bytes, scalar.clone()));
+    /// Bytes of a channel are taken as they are, 16 bits by 1/257, floats from `0..=1`.
+    fn set(&mut self, field: Field, value: f64, scalar: &ScalarType) {
+        match field {
+            Field::Coordinate(axis) => self.position[axis] = value as f32,
+            Field::Channel(_) if value.is_nan() => self.nan_colour = true,
+            Field::Channel(channel) => {
+                let scale = match scalar {
+                    ScalarType::UShort | ScalarType::Short => 1.0 / 257.0,
+                    ScalarType::Float | ScalarType::Double => 255.0,
+                    _ => 1.0,
+                };
+                // Out-of-range channels saturate: `as` clamps.
+                self.colour[channel] = (value * scale).round() as u8;
             }
-            row.columns += 1;
-            row.bytes += match scalar {
-                ScalarType::Char | ScalarType::UChar => 1,
-                ScalarType::Short | ScalarType::UShort => 2,
-                ScalarType::Int | ScalarType::UInt | ScalarType::Float => 4,
-                ScalarType::Double => 8,
-            };
-        }
-        Some(row)
-    }
-
-    fn read(&self, source: impl BufRead, count: usize, encoding: &Encoding, loaded: &mut Loaded) -> Result<(), String> {
-        match encoding {
-            Encoding::Ascii => self.read_ascii(source, count, loaded),
-            Encoding::BinaryLittleEndian => self.read_binary(source, count, little_endian, loaded),
-            Encoding::BinaryBigEndian => self.read_binary(source, count, big_endian, loaded),
         }
     }
+}
 
-    fn read_ascii(&self, source: impl BufRead, count: usize, loaded: &mut Loaded) -> Result<(), String> {
-        let mut lines = source.lines();
+/// A property of a row.
+enum Column {
+    Scalar(ScalarType, Option<Field>),
+    /// Type of the count and of what follows; never of interest.
+    List(ScalarType, ScalarType),
+}
+
+/// How the rows of an element are written.
+struct Rows {
+    columns: Vec<Column>,
+    /// Bytes of a row, where all have as many.
+    bytes: Option<usize>,
+    /// Reads a binary number; `None`: the file is ascii.
+    number: Option<fn(&[u8], &ScalarType) -> f64>,
+}
+
+impl Rows {
+    fn of(element: &ElementDef, encoding: &Encoding) -> Self {
+        let column = |name: &str, data_type: &PropertyType| match data_type {
+            PropertyType::Scalar(scalar) => Column::Scalar(scalar.clone(), Field::of(name)),
+            PropertyType::List(count, item) => Column::List(count.clone(), item.clone()),
+        };
+        let columns: Vec<_> = element.properties.values().map(|p| column(&p.name, &p.data_type)).collect();
+        let width = |column: &Column| match column {
+            Column::Scalar(scalar, _) => Some(size_of_scalar(scalar)),
+            Column::List(..) => None,
+        };
+        let number: Option<fn(&[u8], &ScalarType) -> f64> = match encoding {
+            Encoding::Ascii => None,
+            Encoding::BinaryLittleEndian => Some(little_endian),
+            Encoding::BinaryBigEndian => Some(big_endian),
+        };
+        Self { bytes: columns.iter().map(width).sum(), columns, number }
+    }
+
+    fn skip(&self, source: &mut impl BufRead, count: usize) -> Result<(), String> {
+        match (self.number, self.bytes) {
+            (Some(_), Some(bytes)) => skip_bytes(source, bytes as u64 * count as u64),
+            (Some(number), None) => (0..count).try_for_each(|_| self.read_uneven(source, number, &mut Vertex::new())),
+            (None, _) => {
+                let mut line = Vec::new();
+                (0..count).try_for_each(|row| next_line(source, &mut line, row, count))
+            }
+        }
+    }
+
+    fn read(&self, source: &mut impl BufRead, count: usize, loaded: &mut Loaded) -> Result<(), String> {
+        match (self.number, self.bytes) {
+            (Some(number), Some(bytes)) => self.read_even(source, count, bytes, number, loaded),
+            (Some(number), None) => (0..count).try_for_each(|_| {
+                let mut vertex = Vertex::new();
+                self.read_uneven(source, number, &mut vertex)?;
+                loaded.push(&vertex);
+                Ok(())
+            }),
+            (None, _) => self.read_ascii(source, count, loaded),
+        }
+    }
+
+    fn read_ascii(&self, source: &mut impl BufRead, count: usize, loaded: &mut Loaded) -> Result<(), String> {
+        let mut line = Vec::new();
         for row in 0..count {
-            let line = lines
-                .next()
-                .ok_or_else(|| format!("truncated: {row} of {count} vertices"))?
-                .map_err(|e| format!("vertex {row}: {e}"))?;
-            let words: Vec<&str> = line.split_ascii_whitespace().collect();
-            if words.len() < self.columns {
-                return Err(format!("vertex {row} has {} values, its header announces {}", words.len(), self.columns));
-            }
+            next_line(source, &mut line, row, count)?;
+            let text = std::str::from_utf8(&line).map_err(|e| format!("vertex {row}: {e}"))?;
+            let mut words = text.split_ascii_whitespace();
+            let too_few = || {
+                let (found, announced) = (text.split_ascii_whitespace().count(), self.columns.len());
+                format!("vertex {row} has {found} values, its header announces {announced}")
+            };
             let mut vertex = Vertex::new();
-            for (name, column, _, scalar) in &self.fields {
-                let value = words[*column].parse().map_err(|_| format!("vertex {row}: {:?} is not a number", words[*column]))?;
-                vertex.set(name, value, ColourScale::of_type(scalar));
+            for column in &self.columns {
+                let word = words.next().ok_or_else(too_few)?;
+                let not_a_number = || format!("vertex {row}: {word:?} is not a number");
+                match column {
+                    Column::Scalar(scalar, Some(field)) => vertex.set(*field, word.parse().map_err(|_| not_a_number())?, scalar),
+                    Column::Scalar(_, None) => {}
+                    Column::List(..) => {
+                        let items: usize = word.parse().map_err(|_| not_a_number())?;
+                        if items > 0 {
+                            words.nth(items - 1).ok_or_else(too_few)?;
+                        }
+                    }
+                }
             }
             loaded.push(&vertex);
         }
         Ok(())
     }
 
-    fn read_binary(
+    /// Rows of one size, a block at a time.
+    fn read_even(
         &self,
-        mut source: impl BufRead,
+        source: &mut impl BufRead,
         count: usize,
+        bytes: usize,
         number: fn(&[u8], &ScalarType) -> f64,
         loaded: &mut Loaded,
     ) -> Result<(), String> {
-        const BLOCK: usize = 4096;
-        let mut block = vec![0; self.bytes * BLOCK];
+        let mut fields = Vec::new();
+        let mut offset = 0;
+        for column in &self.columns {
+            if let Column::Scalar(scalar, field) = column {
+                fields.extend(field.map(|field| (field, offset, scalar)));
+                offset += size_of_scalar(scalar);
+            }
+        }
+        let per_block = (BLOCK_BYTES / bytes).max(1);
+        let mut block = vec![0; bytes * per_block];
         let mut left = count;
         while left > 0 {
-            let rows = left.min(BLOCK);
-            let bytes = &mut block[..rows * self.bytes];
-            source.read_exact(bytes).map_err(|e| format!("truncated: {e}"))?;
-            for row in bytes.chunks_exact(self.bytes) {
+            let rows = left.min(per_block);
+            let block = &mut block[..rows * bytes];
+            source.read_exact(block).map_err(|e| format!("truncated: {e}"))?;
+            for row in block.chunks_exact(bytes) {
                 let mut vertex = Vertex::new();
-                for (name, _, offset, scalar) in &self.fields {
-                    vertex.set(name, number(&row[*offset..], scalar), ColourScale::of_type(scalar));
+                for &(field, offset, scalar) in &fields {
+                    vertex.set(field, number(&row[offset..], scalar), scalar);
                 }
                 loaded.push(&vertex);
             }
             left -= rows;
         }
         Ok(())
+    }
+
+    /// A binary row that holds lists.
+    fn read_uneven(&self, source: &mut impl BufRead, number: fn(&[u8], &ScalarType) -> f64, vertex: &mut Vertex) -> Result<(), String> {
+        let next = |source: &mut dyn BufRead, scalar: &ScalarType| {
+            let mut bytes = [0; 8];
+            let read = source.read_exact(&mut bytes[..size_of_scalar(scalar)]);
+            read.map(|()| number(&bytes, scalar)).map_err(|e| format!("truncated: {e}"))
+        };
+        for column in &self.columns {
+            match column {
+                Column::Scalar(scalar, field) => {
+                    let value = next(source, scalar)?;
+                    if let Some(field) = field {
+                        vertex.set(*field, value, scalar);
+                    }
+                }
+                Column::List(count, item) => {
+                    let items = next(source, count)?;
+                    if items < 0.0 || items.fract() != 0.0 {
+                        return Err(format!("a list of {items} values"));
+                    }
+                    skip_bytes(source, items as u64 * size_of_scalar(item) as u64)?;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+fn next_line(source: &mut impl BufRead, line: &mut Vec<u8>, row: usize, count: usize) -> Result<(), String> {
+    match read_line(source, line, MAX_LINE_BYTES) {
+        Ok(true) => Ok(()),
+        Ok(false) => Err(format!("truncated: {row} of {count} vertices")),
+        Err(e) => Err(format!("vertex {row}: {e}")),
+    }
+}
+
+fn skip_bytes(source: &mut impl BufRead, bytes: u64) -> Result<(), String> {
+    match io::copy(&mut source.take(bytes), &mut io::sink()) {
+        Ok(skipped) if skipped == bytes => Ok(()),
+        Ok(_) => Err("truncated".into()),
+        Err(e) => Err(e.to_string()),
+    }
+}
+
+fn size_of_scalar(scalar: &ScalarType) -> usize {
+    match scalar {
+        ScalarType::Char | ScalarType::UChar => 1,
+        ScalarType::Short | ScalarType::UShort => 2,
+        ScalarType::Int | ScalarType::UInt | ScalarType::Float => 4,
+        ScalarType::Double => 8,
     }
 }
 
@@ -287,7 +407,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("cloud.ply"), bytes).unwrap();
-        read(root, Utf8Path::new("cloud.ply"))
+        read(root, Utf8Path::new("cloud.ply"), 1 << 30)
     }
 
     fn header(encoding: &str, count: usize, properties: &str) -> Vec<u8> {
@@ -355,6 +475,57 @@ mod tests {
         let loaded = read_bytes(&bytes).unwrap();
         assert_eq!((loaded.cloud.len(), loaded.without_colour), (2, 1));
         assert_eq!(loaded.cloud.colours, [[128, 128, 255], [0; 3]]);
+    }
+
+    /// Lists among the vertices, and faces before them, are read past in all encodings.
+    #[test]
+    fn lists_and_other_elements_are_skipped() {
+        let layout = |encoding: &str| {
+            format!(
+                "ply\nformat {encoding} 1.0\nelement face 2\nproperty list uchar int vertex_indices\nelement vertex 2\nproperty float x\n\
+                 property list uchar float quality\nproperty float y\nproperty float z\nend_header\n"
+            )
+            .into_bytes()
+        };
+        let mut ascii = layout("ascii");
+        ascii.extend(b"3 0 1 0\n0\n1 2 9 9 2 3\n4 0 5 6\n");
+        let mut little = layout("binary_little_endian");
+        little.push(3);
+        little.extend([0_i32, 1, 0].iter().flat_map(|v| v.to_le_bytes()));
+        little.push(0);
+        for (x, quality, y, z) in [(1.0_f32, &[9.0_f32, 9.0][..], 2.0_f32, 3.0_f32), (4.0, &[], 5.0, 6.0)] {
+            little.extend(x.to_le_bytes());
+            little.push(quality.len() as u8);
+            quality.iter().for_each(|q| little.extend(q.to_le_bytes()));
+            little.extend(y.to_le_bytes());
+            little.extend(z.to_le_bytes());
+        }
+        for bytes in [ascii, little] {
+            let loaded = read_bytes(&bytes).unwrap();
+            assert_eq!(loaded.cloud.positions, [Point3::new(1.0, 2.0, 3.0), Point3::new(4.0, 5.0, 6.0)]);
+            assert!(!loaded.has_colour);
+        }
+    }
+
+    /// What a header or a line says is believed only as far as it goes.
+    #[test]
+    fn bombs_are_refused_before_they_are_held() {
+        let columns: String = (0..300).map(|i| format!("property double c{i}\n")).collect();
+        let endless_line = [header("ascii", 1, XYZ_RGB), vec![b'1'; 1 << 20]].concat();
+        let endless_header = [&b"ply\ncomment "[..], &vec![b'x'; 1 << 20]].concat();
+        for (bytes, expected) in [
+            (header("binary_little_endian", 1, &format!("{XYZ_RGB}{columns}")), "306 properties"),
+            (endless_line, "longer than 65536 bytes"),
+            (endless_header, "header does not end"),
+        ] {
+            let message = read_bytes(&bytes).unwrap_err().to_string();
+            assert!(message.contains(expected), "{message}");
+        }
+        let folder = tempfile::tempdir().unwrap();
+        let root = Utf8Path::from_path(folder.path()).unwrap();
+        std::fs::write(root.join("cloud.ply"), header("binary_little_endian", 9, XYZ_RGB)).unwrap();
+        let message = check(root, Utf8Path::new("cloud.ply"), 8).unwrap_err().to_string();
+        assert!(message.contains("announces 9 points"), "{message}");
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! Files belong together by stem (`color/7.jpg`, `depth/7.png`, `pose/7.txt`); order is by number, so `10` follows `9`.
 
-use super::{entries, read_numbers, read_pose};
+use super::{check_frames, entries, read_numbers, read_pose};
 use crate::ingest::IngestError;
 use crate::ingest::scan::{CameraAxes, RawFrame, Scan, picture_size};
 use crate::scene::{FrameIndex, Intrinsics, PoseConvention};
@@ -28,6 +28,7 @@ pub(super) fn read(root: &Utf8Path) -> Result<Scan, IngestError> {
     if let Some((_, first)) = unpaired {
         return Err(IngestError::FrameCountMismatch { colour: colour.len(), depth: depth.len(), pose: pose.len(), first: first.clone() });
     }
+    check_frames("color", colour.len())?;
     let mut frames = Vec::with_capacity(colour.len());
     if let Some(first) = colour.values().next() {
         let intrinsics = read_intrinsics(root, first)?;

@@ -3,8 +3,9 @@
 mod color_depth_pose;
 mod neutral;
 
-use super::IngestError;
+use super::bounded::read_text;
 use super::scan::Scan;
+use super::{IngestError, MAX_FRAMES};
 use crate::geometry::Matrix4;
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
@@ -21,6 +22,14 @@ pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
         color_depth_pose::read(&root)
     } else {
         Err(IngestError::UnknownLayout { found: describe(&root)? })
+    }
+}
+
+/// Refuses a scan of more frames than are read.
+fn check_frames(file: &str, frames: usize) -> Result<(), IngestError> {
+    match frames > MAX_FRAMES {
+        true => Err(IngestError::malformed(file, format!("{frames} frames, {MAX_FRAMES} are read at most: leave some out"))),
+        false => Ok(()),
     }
 }
 
@@ -56,9 +65,12 @@ fn entries(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
     Ok(names)
 }
 
+/// A matrix of 16 numbers is far shorter.
+const MAX_MATRIX_BYTES: u64 = 16 << 10;
+
 /// Reads a file of whitespace-separated numbers.
 fn read_numbers(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<f32>, IngestError> {
-    let text = fs::read_to_string(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let text = read_text(root, file, MAX_MATRIX_BYTES)?;
     text.split_whitespace()
         .map(|word| {
             word.trim_end_matches(',')

@@ -1,15 +1,17 @@
 //! The neutral layout: `scene.json` names every file and convention (`uniground-scene/1`).
 
-use super::read_pose;
+use super::{check_frames, read_pose};
 use crate::geometry::up_axis::UpAxis;
 use crate::ingest::IngestError;
+use crate::ingest::bounded::read_text;
 use crate::ingest::scan::{CameraAxes, RawFrame, Scan};
 use crate::scene::{FrameIndex, Intrinsics, PoseConvention};
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
-use std::fs;
 
 const FORMAT: &str = "uniground-scene/1";
+/// The most frames, each with cameras of its own and paths of everyday length.
+const MAX_MANIFEST_BYTES: u64 = 16 << 20;
 
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -55,7 +57,7 @@ fn camera_to_world() -> PoseConvention {
 
 pub(super) fn read(root: &Utf8Path) -> Result<Scan, IngestError> {
     let file = Utf8Path::new("scene.json");
-    let text = fs::read_to_string(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let text = read_text(root, file, MAX_MANIFEST_BYTES)?;
     let Manifest { format, name, up, cloud, intrinsics, depth_intrinsics, depth_scale_m, camera_axes, pose, frames } =
         serde_json::from_str(text.trim_start_matches('\u{feff}')).map_err(|e| IngestError::malformed(file, e))?;
     if format != FORMAT {
@@ -64,6 +66,7 @@ pub(super) fn read(root: &Utf8Path) -> Result<Scan, IngestError> {
     if !(depth_scale_m.is_finite() && depth_scale_m > 0.0) {
         return Err(IngestError::malformed(file, format!("depth_scale_m is {depth_scale_m}, it must be positive")));
     }
+    check_frames("scene.json", frames.len())?;
     let frames = frames
         .into_iter()
         .enumerate()

@@ -1,10 +1,12 @@
 //! Unpacks an uploaded archive into a folder. Entry names, counts and sizes are hostile input.
 
+mod entries;
+mod sink;
+
 use super::IngestError;
-use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
-use std::collections::BTreeSet;
-use std::fs::{self, File};
-use std::io::{self, BufReader, Read, Write};
+use camino::Utf8Path;
+use entries::walk;
+use sink::{Sink, Survey};
 
 /// Container of an upload, as declared by its content type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,13 +57,23 @@ impl ArchiveKind {
             Self::TarZst => "tar.zst",
         }
     }
+
+    fn unreadable(self, reason: impl ToString) -> IngestError {
+        IngestError::ArchiveUnreadable { kind: self.name(), reason: reason.to_string() }
+    }
 }
 
 /// Bounds on what an archive may unpack to.
 #[derive(Debug, Clone, Copy)]
 pub struct UnpackLimits {
-    /// Number of files, folders not counted.
+    /// Number of entries: files, folders and whatever else stands in it.
     pub max_entries: usize,
+    /// Number of folders its files lie in.
+    pub max_folders: usize,
+    /// Parts of a file's path, its name included.
+    pub max_depth: usize,
+    /// Bytes of an entry's name, folders included.
+    pub max_name_bytes: usize,
     /// Size of all files together, unpacked.
     pub max_bytes: u64,
     /// Unpacked over packed size; depth pictures are compressed already, so honest archives stay far below.
@@ -70,138 +82,43 @@ pub struct UnpackLimits {
 
 impl Default for UnpackLimits {
     fn default() -> Self {
-        Self { max_entries: 200_000, max_bytes: 64 << 30, max_ratio: 200 }
+        Self { max_entries: 100_000, max_folders: 1000, max_depth: 16, max_name_bytes: 1024, max_bytes: 64 << 30, max_ratio: 200 }
     }
 }
 
-/// Unpacks `archive` into the empty folder `target`.
+impl UnpackLimits {
+    /// Bytes an archive of this size may unpack to.
+    fn unpacked(&self, packed_bytes: u64) -> u64 {
+        // Small archives may compress very well; the ratio only matters once there is something to blow up.
+        self.max_bytes.min(packed_bytes.max(1 << 20).saturating_mul(self.max_ratio))
+    }
+
+    fn too_many_entries(&self) -> IngestError {
+        IngestError::ArchiveTooLarge { limit: format!("{} entries", self.max_entries) }
+    }
+
+    fn too_many_bytes(&self) -> IngestError {
+        IngestError::ArchiveTooLarge { limit: format!("{} bytes or {} times its packed size", self.max_bytes, self.max_ratio) }
+    }
+}
+
+/// Unpacks `archive` into the empty folder `target`. Nothing is written before the whole list of entries was looked at.
 ///
 /// # Errors
 /// [`IngestError`] naming the entry; `target` may then hold a part and is the caller's to remove.
 pub fn unpack(archive: &Utf8Path, kind: ArchiveKind, target: &Utf8Path, limits: &UnpackLimits) -> Result<(), IngestError> {
-    let file = File::open(archive).map_err(|source| IngestError::Io { file: "upload".into(), source })?;
-    let packed_bytes = file.metadata().map_or(0, |m| m.len());
-    let mut sink = Sink::new(target, kind, packed_bytes, limits);
-    match kind {
-        ArchiveKind::Zip => unpack_zip(file, &mut sink),
-        ArchiveKind::Tar => unpack_tar(BufReader::new(file), &mut sink),
-        ArchiveKind::TarZst => unpack_tar(zstd::Decoder::new(file).map_err(|e| sink.unreadable(e))?, &mut sink),
-    }
-}
-
-fn unpack_zip(file: File, sink: &mut Sink) -> Result<(), IngestError> {
-    let mut zip = zip::ZipArchive::new(BufReader::new(file)).map_err(|e| sink.unreadable(e))?;
-    for i in 0..zip.len() {
-        let mut entry = zip.by_index(i).map_err(|e| sink.unreadable(e))?;
-        let name = entry.name().map_err(|e| sink.unreadable(e))?.into_owned();
-        if entry.is_symlink() {
-            return Err(IngestError::UnsafeEntry { entry: name, reason: "is a link; only plain files and folders are accepted" });
-        }
-        if !entry.is_dir() {
-            sink.write(&name, &mut entry)?;
-        }
-    }
-    Ok(())
-}
-
-fn unpack_tar(reader: impl Read, sink: &mut Sink) -> Result<(), IngestError> {
-    let mut tar = tar::Archive::new(reader);
-    let mut seen_any = false;
-    for entry in tar.entries().map_err(|e| sink.unreadable(e))? {
-        let mut entry = entry.map_err(|e| sink.unreadable(e))?;
-        seen_any = true;
-        let name = String::from_utf8_lossy(&entry.path_bytes()).into_owned();
-        match entry.header().entry_type() {
-            tar::EntryType::Directory | tar::EntryType::XGlobalHeader => {}
-            tar::EntryType::Regular | tar::EntryType::Continuous => sink.write(&name, &mut entry)?,
-            _ => return Err(IngestError::UnsafeEntry { entry: name, reason: "is not a plain file or folder" }),
-        }
-    }
-    if seen_any { Ok(()) } else { Err(sink.unreadable("it has no entries")) }
-}
-
-/// Writes entries below one folder and keeps count.
-struct Sink<'a> {
-    target: &'a Utf8Path,
-    kind: ArchiveKind,
-    limits: &'a UnpackLimits,
-    bytes_left: u64,
-    entries: usize,
-    folders: BTreeSet<Utf8PathBuf>,
-}
-
-impl<'a> Sink<'a> {
-    fn new(target: &'a Utf8Path, kind: ArchiveKind, packed_bytes: u64, limits: &'a UnpackLimits) -> Self {
-        // Small archives may compress very well; the ratio only matters once there is something to blow up.
-        let by_ratio = packed_bytes.max(1 << 20).saturating_mul(limits.max_ratio);
-        Self { target, kind, limits, bytes_left: limits.max_bytes.min(by_ratio), entries: 0, folders: BTreeSet::new() }
-    }
-
-    fn unreadable(&self, reason: impl ToString) -> IngestError {
-        IngestError::ArchiveUnreadable { kind: self.kind.name(), reason: reason.to_string() }
-    }
-
-    fn write(&mut self, name: &str, content: &mut dyn Read) -> Result<(), IngestError> {
-        self.entries += 1;
-        if self.entries > self.limits.max_entries {
-            return Err(IngestError::ArchiveTooLarge { limit: format!("{} files", self.limits.max_entries) });
-        }
-        let path = self.target.join(safe_path(name)?);
-        let io = |source| cannot_store(name, source);
-        if let Some(folder) = path.parent()
-            && !self.folders.contains(folder)
-        {
-            fs::create_dir_all(folder).map_err(io)?;
-            self.folders.insert(folder.to_owned());
-        }
-        let mut file = File::create_new(&path).map_err(io)?;
-        let mut buffer = vec![0; 64 << 10];
-        loop {
-            let n = content.read(&mut buffer).map_err(|e| self.unreadable(format!("{name}: {e}")))?;
-            if n == 0 {
-                return Ok(());
-            }
-            self.bytes_left = self.bytes_left.checked_sub(n as u64).ok_or_else(|| IngestError::ArchiveTooLarge {
-                limit: format!("{} bytes or {} times its packed size", self.limits.max_bytes, self.limits.max_ratio),
-            })?;
-            file.write_all(&buffer[..n]).map_err(io)?;
-        }
-    }
-}
-
-/// Some names fit an archive but not a disk; a full disk is the server's trouble.
-fn cannot_store(name: &str, source: io::Error) -> IngestError {
-    use io::ErrorKind::{AlreadyExists, InvalidFilename, InvalidInput, IsADirectory, NotADirectory};
-    let reason = match source.kind() {
-        AlreadyExists => "stands in the archive twice",
-        InvalidFilename | InvalidInput => "has a name no disk takes",
-        IsADirectory | NotADirectory => "is both a file and a folder",
-        _ => return IngestError::Io { file: name.into(), source },
-    };
-    IngestError::UnsafeEntry { entry: name.into(), reason }
-}
-
-/// The entry's path when it is relative and stays inside the archive.
-fn safe_path(name: &str) -> Result<Utf8PathBuf, IngestError> {
-    let unsafe_entry = |reason| IngestError::UnsafeEntry { entry: name.into(), reason };
-    if name.contains(['\\', '\0']) {
-        return Err(unsafe_entry("holds a backslash or NUL"));
-    }
-    let mut path = Utf8PathBuf::new();
-    for component in Utf8Path::new(name).components() {
-        match component {
-            Utf8Component::Normal(part) => path.push(part),
-            Utf8Component::CurDir => {}
-            _ => return Err(unsafe_entry("points outside the archive")),
-        }
-    }
-    if path.as_str().is_empty() { Err(unsafe_entry("has no name")) } else { Ok(path) }
+    walk(archive, kind, limits, false, &mut Survey::new(limits))?;
+    walk(archive, kind, limits, true, &mut Sink::new(target))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use camino::Utf8Component;
     use proptest::prelude::*;
+    use sink::safe_path;
+    use std::fs;
+    use std::io::{self, Write};
 
     fn zip_of(entries: &[(&str, &[u8])]) -> Vec<u8> {
         let mut zip = zip::ZipWriter::new(io::Cursor::new(Vec::new()));

@@ -1,0 +1,105 @@
+//! What strangers send is read through these: nothing is held in memory, or read on and on, because a file says so.
+
+use super::IngestError;
+use camino::Utf8Path;
+use std::cell::Cell;
+use std::fs::File;
+use std::io::{self, BufRead, Read, Seek, SeekFrom};
+use std::rc::Rc;
+
+/// How many bytes may still be read. Clones share it.
+#[derive(Debug, Clone)]
+pub(super) struct Allowance(Rc<Cell<u64>>);
+
+impl Allowance {
+    pub fn of(bytes: u64) -> Self {
+        Self(Rc::new(Cell::new(bytes)))
+    }
+
+    /// Lets so many bytes more be read, from now on.
+    pub fn renew(&self, bytes: u64) {
+        self.0.set(bytes);
+    }
+
+    /// Whether a reader wanted more than there was. From then on it gets nothing.
+    pub fn is_spent(&self) -> bool {
+        self.0.get() == 0
+    }
+}
+
+/// A reader that ends in an error where its allowance does.
+pub(super) struct Bounded<R> {
+    inner: R,
+    allowance: Allowance,
+}
+
+impl<R> Bounded<R> {
+    pub fn new(inner: R, allowance: &Allowance) -> Self {
+        Self { inner, allowance: allowance.clone() }
+    }
+}
+
+impl<R: Read> Read for Bounded<R> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let n = self.inner.read(buffer)?;
+        let left = self.allowance.0.get();
+        // The last byte is never given out: an allowance at 0 is one that was exceeded.
+        if n as u64 >= left {
+            self.allowance.0.set(0);
+            return Err(io::Error::other("there is more than may be read"));
+        }
+        self.allowance.0.set(left - n as u64);
+        Ok(n)
+    }
+}
+
+impl<R: Seek> Seek for Bounded<R> {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.inner.seek(to)
+    }
+}
+
+/// A text file of at most `most` bytes.
+pub(super) fn read_text(root: &Utf8Path, file: &Utf8Path, most: u64) -> Result<String, IngestError> {
+    let mut text = String::new();
+    File::open(root.join(file))
+        .and_then(|source| source.take(most + 1).read_to_string(&mut text))
+        .map_err(|source| IngestError::reading(file, source))?;
+    match text.len() as u64 > most {
+        true => Err(IngestError::malformed(file, format!("it is longer than {most} bytes"))),
+        false => Ok(text),
+    }
+}
+
+/// The next line without its end, of at most `most` bytes; `false` at the end of the file.
+pub(super) fn read_line(source: &mut impl BufRead, line: &mut Vec<u8>, most: u64) -> io::Result<bool> {
+    line.clear();
+    source.take(most + 1).read_until(b'\n', line)?;
+    if line.is_empty() {
+        return Ok(false);
+    }
+    while line.ends_with(b"\n") || line.ends_with(b"\r") {
+        line.pop();
+    }
+    if line.len() as u64 > most {
+        return Err(io::Error::other(format!("a line is longer than {most} bytes")));
+    }
+    Ok(true)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_goes_on_ends_in_an_error() {
+        let allowance = Allowance::of(101);
+        let mut all = Vec::new();
+        assert!(Bounded::new(&[7_u8; 100][..], &allowance).read_to_end(&mut all).is_ok() && !allowance.is_spent());
+        assert!(Bounded::new(&[7_u8; 100][..], &allowance).read_to_end(&mut all).is_err() && allowance.is_spent());
+        let mut line = Vec::new();
+        let mut text = &b"ab\r\nabcde\n"[..];
+        assert!(read_line(&mut text, &mut line, 4).unwrap() && line == b"ab");
+        assert!(read_line(&mut text, &mut line, 4).is_err());
+    }
+}

@@ -1,0 +1,134 @@
+//! What a published folder holds, by name and SHA-256, in a file of its own: what was lost or damaged since can be told.
+//! The file is `sha256sum`'s: `sha256sum -c .sha256sums` says the same.
+
+use camino::{Utf8Path, Utf8PathBuf};
+use sha2::{Digest, Sha256};
+use std::fmt::Write;
+use std::fs::{self, File};
+use std::io::{self, Read};
+
+const SUMS: &str = ".sha256sums";
+/// Folders with more files are put on the disk together with everything else.
+const SYNC_ONE_BY_ONE: usize = 64;
+
+/// A file that is not what it was.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Damage {
+    /// Below the folder that was looked at.
+    pub file: Utf8PathBuf,
+    /// "missing", "damaged", "stray", or why it can not be read.
+    pub what: String,
+}
+
+/// How closely a folder is looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Look {
+    /// Whether all files are there.
+    Names,
+    /// Every byte of them.
+    Bytes,
+}
+
+/// Writes down what `folder` holds and puts all of it on the disk.
+pub(super) fn seal(folder: &Utf8Path) -> io::Result<()> {
+    let files = files_below(folder)?;
+    let mut sums = String::new();
+    for file in &files {
+        let _ = writeln!(sums, "{}  {file}", hash_of(&folder.join(file))?);
+    }
+    fs::write(folder.join(SUMS), sums)?;
+    if files.len() > SYNC_ONE_BY_ONE {
+        return sync_everything(folder);
+    }
+    let folders: std::collections::BTreeSet<_> = files.iter().filter_map(|file| file.parent()).map(|parent| folder.join(parent)).collect();
+    for path in files.iter().map(|file| folder.join(file)).chain([folder.join(SUMS)]).chain(folders) {
+        File::open(path)?.sync_all()?;
+    }
+    File::open(folder)?.sync_all()
+}
+
+#[cfg(target_os = "linux")]
+fn sync_everything(folder: &Utf8Path) -> io::Result<()> {
+    Ok(rustix::fs::syncfs(File::open(folder)?)?)
+}
+
+#[cfg(not(target_os = "linux"))]
+fn sync_everything(_: &Utf8Path) -> io::Result<()> {
+    rustix::fs::sync();
+    Ok(())
+}
+
+/// What is wrong with a folder; nothing where nothing was written down about it, as long as it is there.
+pub(super) fn look(folder: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
+    let sums = match fs::read_to_string(folder.join(SUMS)) {
+        Ok(sums) => sums,
+        // A folder of before there were sums.
+        Err(error) if error.kind() == io::ErrorKind::NotFound && folder.is_dir() => return Ok(Vec::new()),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(vec![damage("", "missing")]),
+        Err(error) => return Err(error),
+    };
+    let mut wrong = Vec::new();
+    let mut known = std::collections::BTreeSet::new();
+    for (sum, file) in sums.lines().filter_map(|line| line.split_once("  ")) {
+        known.insert(Utf8PathBuf::from(file));
+        let path = folder.join(file);
+        match closely {
+            Look::Names if path.is_file() => {}
+            Look::Names => wrong.push(damage(file, "missing")),
+            Look::Bytes => match hash_of(&path) {
+                Ok(found) if found == sum => {}
+                Ok(_) => wrong.push(damage(file, "damaged")),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => wrong.push(damage(file, "missing")),
+                Err(error) => wrong.push(damage(file, &error.to_string())),
+            },
+        }
+    }
+    if closely == Look::Bytes {
+        let strays = files_below(folder)?.into_iter().filter(|file| !known.contains(file));
+        wrong.extend(strays.map(|file| damage(file.as_str(), "stray")));
+    }
+    Ok(wrong)
+}
+
+/// What is wrong with one file of a folder; nothing where nothing was written down about it.
+pub(super) fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<Damage>> {
+    let sums = match fs::read_to_string(folder.join(SUMS)) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        sums => sums?,
+    };
+    let Some((sum, _)) = sums.lines().filter_map(|line| line.split_once("  ")).find(|(_, name)| *name == file) else { return Ok(None) };
+    Ok((hash_of(&folder.join(file))? != sum).then(|| damage(file.as_str(), "damaged")))
+}
+
+fn damage(file: &str, what: &str) -> Damage {
+    Damage { file: file.into(), what: what.to_owned() }
+}
+
+/// Plain files below a folder, sorted; without the sums.
+fn files_below(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
+    let (mut files, mut folders) = (Vec::new(), vec![Utf8PathBuf::new()]);
+    while let Some(below) = folders.pop() {
+        for entry in folder.join(&below).read_dir_utf8()? {
+            let entry = entry?;
+            let path = below.join(entry.file_name());
+            match entry.file_type()?.is_dir() {
+                true => folders.push(path),
+                false if path != SUMS => files.push(path),
+                false => {}
+            }
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+fn hash_of(file: &Utf8Path) -> io::Result<String> {
+    let (mut source, mut hasher, mut buffer) = (File::open(file)?, Sha256::new(), vec![0; 256 << 10]);
+    loop {
+        let n = source.read(&mut buffer)?;
+        if n == 0 {
+            return Ok(hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect());
+        }
+        hasher.update(&buffer[..n]);
+    }
+}

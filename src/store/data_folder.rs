@@ -1,0 +1,133 @@
+//! The folder everything is kept in: a file marks it as ours, a lock as taken.
+//!
+//! ```text
+//! uniground-data.json   that this is a data folder, and its id
+//! uniground.sqlite      the database, which knows the same id
+//! reserve               a few megabytes to let go of when the disk is full: deleting needs room too
+//! blobs/  tmp/          see `blobs`
+//! quarantine/<day>/...  what no record speaks of, kept for a while
+//! ```
+
+use super::{StoreError, now};
+use camino::{Utf8Path, Utf8PathBuf};
+use serde::{Deserialize, Serialize};
+use std::fs::{self, File, TryLockError};
+use std::io::{self, Write};
+use std::sync::Arc;
+use uuid::Uuid;
+
+const MARKER: &str = "uniground-data.json";
+const DATABASE: &str = "uniground.sqlite";
+const RESERVE: &str = "reserve";
+const RESERVE_BYTES: usize = 8 << 20;
+
+#[derive(Serialize, Deserialize)]
+struct Marker {
+    /// Version of the layout.
+    format: u32,
+    id: String,
+    created_at: String,
+}
+
+/// A data folder that is ours alone as long as this lives: two servers over one would take each other's jobs and files.
+#[derive(Debug, Clone)]
+pub(super) struct DataFolder {
+    path: Utf8PathBuf,
+    /// By which database and folder know each other.
+    pub id: String,
+    _lock: Arc<File>,
+}
+
+impl DataFolder {
+    /// Opens a data folder, or makes one of a folder that is empty or not there.
+    ///
+    /// # Errors
+    /// [`StoreError::NotOurs`] for a folder with other things in it, [`StoreError::InUse`], or what the file system says.
+    pub fn open(path: &Utf8Path) -> Result<Self, StoreError> {
+        fs::create_dir_all(path)?;
+        let marker = path.join(MARKER);
+        let id = match fs::read(&marker) {
+            Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.id,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                // Data folders of before there were markers have a database.
+                let is_ours = path.join(DATABASE).exists();
+                if let Some(stranger) = path.read_dir_utf8()?.filter_map(Result::ok).find(|entry| !is_harmless(entry.file_name()))
+                    && !is_ours
+                {
+                    return Err(StoreError::NotOurs { found: stranger.file_name().to_owned() });
+                }
+                let id = Uuid::new_v4().to_string();
+                let text = serde_json::to_vec_pretty(&Marker { format: 1, id: id.clone(), created_at: now() })?;
+                write_synced(&marker, &text)?;
+                id
+            }
+            Err(error) => return Err(error.into()),
+        };
+        let lock = File::create(path.join("lock"))?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => return Err(StoreError::InUse),
+            Err(TryLockError::Error(error)) => return Err(error.into()),
+        }
+        let folder = Self { path: path.to_owned(), id, _lock: Arc::new(lock) };
+        if let Err(error) = folder.keep_reserve() {
+            tracing::warn!(%error, "no room for the reserve that deleting needs on a full disk");
+        }
+        Ok(folder)
+    }
+
+    pub fn database(&self) -> Utf8PathBuf {
+        self.path.join(DATABASE)
+    }
+
+    pub fn path(&self) -> &Utf8Path {
+        &self.path
+    }
+
+    /// Lays the reserve aside, where it is not.
+    pub fn keep_reserve(&self) -> io::Result<()> {
+        let reserve = self.path.join(RESERVE);
+        if fs::metadata(&reserve).is_ok_and(|m| m.len() as usize >= RESERVE_BYTES) {
+            return Ok(());
+        }
+        // Written, not only announced: a file of holes takes no room.
+        let written = fs::write(&reserve, vec![1; RESERVE_BYTES]).and_then(|()| File::open(&reserve)?.sync_all());
+        written.inspect_err(|_| drop(fs::remove_file(&reserve)))
+    }
+
+    /// Gives the reserve's room to the disk; whether there was one.
+    pub fn let_go_of_reserve(&self) -> bool {
+        fs::remove_file(self.path.join(RESERVE)).is_ok()
+    }
+
+    /// Bytes that may still be written here.
+    pub fn free_bytes(&self) -> io::Result<u64> {
+        let disk = rustix::fs::statvfs(self.path.as_std_path())?;
+        Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+    }
+
+    /// Reads the marker: whether the folder is still there and readable.
+    pub fn check_marker(&self) -> io::Result<()> {
+        fs::read(self.path.join(MARKER)).map(drop)
+    }
+}
+
+/// What systems put into empty folders.
+fn is_harmless(name: &str) -> bool {
+    name == "lost+found" || name == "lock" || name.starts_with('.')
+}
+
+/// Writes a file as a whole: under another name first, then in its place, both on the disk.
+pub(super) fn write_synced(path: &Utf8Path, content: &[u8]) -> io::Result<()> {
+    let unfinished = Utf8PathBuf::from(format!("{path}.new"));
+    let mut file = File::create(&unfinished)?;
+    file.write_all(content)?;
+    file.sync_all()?;
+    fs::rename(&unfinished, path)?;
+    sync_folder(path.parent().unwrap_or(path))
+}
+
+/// Puts a folder's list of names on the disk.
+pub(super) fn sync_folder(folder: &Utf8Path) -> io::Result<()> {
+    File::open(folder)?.sync_all()
+}

@@ -1,0 +1,52 @@
+//! Whether what is stored can be read and written now.
+
+use super::{Store, StoreError};
+use std::io;
+use std::time::Duration;
+use tokio::task::spawn_blocking;
+use tokio::time::timeout;
+
+/// How each part of the store is.
+#[derive(Debug, Clone, Default)]
+pub struct StoreHealth {
+    /// Why the database can not be written, if so.
+    pub database: Option<String>,
+    /// Why the blob folder can not be read, if so.
+    pub blobs: Option<String>,
+    /// Why the disk takes no more, if so.
+    pub disk: Option<String>,
+}
+
+/// A database that takes longer is not ready.
+const PATIENCE: Duration = Duration::from_secs(1);
+/// With less room, uploads are bound to fail.
+const LEAST_FREE_BYTES: u64 = 64 << 20;
+
+impl Store {
+    /// Tries everything a request may need: a write, a read, room on the disk.
+    pub async fn health(&self) -> StoreHealth {
+        let database = match timeout(PATIENCE, self.write_something()).await {
+            Ok(Ok(())) => None,
+            Ok(Err(error)) => Some(uniground_core::models::with_causes(&error)),
+            Err(_) => Some(format!("a write took longer than {} s", PATIENCE.as_secs())),
+        };
+        let (folder, blobs) = (self.folder.clone(), self.blobs.clone());
+        let looked = spawn_blocking(move || {
+            let readable = folder.check_marker().and_then(|()| blobs.scratch().map(drop));
+            (readable, folder.free_bytes())
+        });
+        let (readable, free) = looked.await.unwrap_or_else(|error| (Err(io::Error::other(error)), Ok(u64::MAX)));
+        let disk = match free {
+            Ok(free) if free < LEAST_FREE_BYTES => Some(format!("full: only {} MB are free", free >> 20)),
+            Ok(_) => None,
+            Err(error) => Some(error.to_string()),
+        };
+        StoreHealth { database, blobs: readable.err().map(|error| error.to_string()), disk }
+    }
+
+    async fn write_something(&self) -> Result<(), StoreError> {
+        let mut tx = self.writer.begin().await?;
+        sqlx::query("UPDATE data_folder SET since = since").execute(&mut *tx).await?;
+        tx.commit().await
+    }
+}

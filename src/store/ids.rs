@@ -1,0 +1,43 @@
+//! Ids in order of time, also where the clock is set back.
+
+use jiff::Timestamp;
+use std::sync::{Arc, Mutex, PoisonError};
+use uuid::{ContextV7, Uuid};
+
+/// Makes UUIDv7 ids, each greater than all before it. Clones share the order.
+#[derive(Clone)]
+pub(super) struct Ids(Arc<Mutex<ContextV7>>);
+
+impl Ids {
+    /// Goes on after `newest`, the greatest id there is.
+    pub fn after(newest: Option<&str>) -> Self {
+        let context = ContextV7::new();
+        let last = newest.and_then(|id| id.parse::<Uuid>().ok()).and_then(|id| id.get_timestamp());
+        if let Some((seconds, nanos)) = last.map(|last| last.to_unix()) {
+            let _ = uuid::Timestamp::from_unix(&context, seconds, nanos);
+        }
+        Self(Arc::new(Mutex::new(context)))
+    }
+
+    pub fn at(&self, now: Timestamp) -> String {
+        let context = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let (seconds, nanos) = (u64::try_from(now.as_second()).unwrap_or(0), u32::try_from(now.subsec_nanosecond()).unwrap_or(0));
+        Uuid::new_v7(uuid::Timestamp::from_unix(&*context, seconds, nanos)).to_string()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_clock_that_is_set_back_does_not_reorder() {
+        let (day, hour) = ("2026-11-20T12:00:00Z".parse().unwrap(), "2026-11-20T11:00:00Z".parse().unwrap());
+        let ids = Ids::after(None);
+        let made: Vec<String> = [day, day, hour, hour].map(|time| ids.at(time)).into();
+        assert!(made.is_sorted() && made[0] < made[3], "{made:?}");
+        // Nor does one that is set back while the server is down.
+        let later = Ids::after(Some(&made[3])).at(hour);
+        assert!(later > made[3], "{later} after {made:?}");
+    }
+}

@@ -1,0 +1,122 @@
+//! What no record speaks of. It is never removed at once: a database may have been lost, replaced or restored, and then it is the database
+//! that is wrong. It goes to the quarantine, and from there after a week; not even that where the database has no standing to judge.
+
+use super::blobs::remove_tree;
+use super::{Store, StoreError, now};
+use jiff::Timestamp;
+use jiff::civil::Date;
+use std::collections::HashSet;
+use std::fs;
+use std::io;
+use std::time::SystemTime;
+use tokio::task::spawn_blocking;
+
+/// Days for which the quarantine keeps things.
+const QUARANTINE_DAYS: i64 = 7;
+/// Names looked up at once.
+const CHUNK: usize = 500;
+
+/// Folders no record speaks of.
+#[derive(Debug, Default, Clone, PartialEq, Eq)]
+pub struct Strays {
+    /// Those that may go: kind and name.
+    pub unclaimed: Vec<(&'static str, String)>,
+    /// Those the database can not judge, because it is younger or knows nothing.
+    pub unjudged: Vec<(&'static str, String)>,
+}
+
+impl Store {
+    /// Folders no record speaks of.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn strays(&self) -> Result<Strays, StoreError> {
+        let since: Option<String> = sqlx::query_scalar("SELECT since FROM data_folder").fetch_optional(&self.reader).await?;
+        let since = since.and_then(|since| since.parse::<Timestamp>().ok()).map(SystemTime::from);
+        let contents: Vec<String> = sqlx::query_scalar("SELECT hash FROM contents").fetch_all(&self.reader).await?;
+        let parses: Vec<String> = sqlx::query_scalar("SELECT id FROM parses").fetch_all(&self.reader).await?;
+        let knows_nothing = contents.is_empty();
+        let (contents, parses): (HashSet<_>, HashSet<_>) = (contents.into_iter().collect(), parses.into_iter().collect());
+        let mut unknown: Vec<(&'static str, String)> = Vec::new();
+        for (kind, known) in [("contents", &contents), ("checkpoints", &contents), ("parses", &parses)] {
+            unknown.extend(self.blobs.names(kind)?.into_iter().filter(|name| !known.contains(name)).map(|name| (kind, name)));
+        }
+        for names in self.blobs.names("answers")?.chunks(CHUNK) {
+            let sql = "SELECT value FROM json_each(?) WHERE value NOT IN (SELECT id FROM answers)";
+            let missing: Vec<String> = sqlx::query_scalar(sql).bind(serde_json::to_string(names)?).fetch_all(&self.reader).await?;
+            unknown.extend(missing.into_iter().map(|name| ("answers", name)));
+        }
+        let mut strays = Strays::default();
+        for (kind, name) in unknown {
+            let made = fs::metadata(self.blobs.place(kind, &name))?.modified()?;
+            match knows_nothing || since.is_none_or(|since| made < since) {
+                true => strays.unjudged.push((kind, name)),
+                false => strays.unclaimed.push((kind, name)),
+            }
+        }
+        Ok(strays)
+    }
+
+    /// Takes what no record speaks of to the quarantine, and removes what has been there long enough.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn sweep(&self) -> Result<(), StoreError> {
+        let Strays { unclaimed, unjudged } = self.strays().await?;
+        if !unjudged.is_empty() {
+            let folders = unjudged.len();
+            tracing::warn!(
+                folders,
+                "the data folder holds scans or parses this database knows nothing of, because it is empty or younger than they are: \
+                 they stay where they are; \"uniground doctor\" lists them"
+            );
+        }
+        if !unclaimed.is_empty() {
+            tracing::warn!(folders = unclaimed.len(), days = QUARANTINE_DAYS, "folders no record speaks of go to the quarantine");
+            self.quarantine(unclaimed)?;
+        }
+        if unjudged.is_empty() {
+            self.empty_quarantine().await?;
+        }
+        Ok(())
+    }
+
+    /// Takes folders out of `blobs/`, where they can still be had back.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn quarantine(&self, folders: Vec<(&'static str, String)>) -> Result<(), StoreError> {
+        let today = self.folder.path().join("quarantine").join(&now()[..10]);
+        for (kind, name) in folders {
+            fs::create_dir_all(today.join(kind))?;
+            let (from, to) = (self.blobs.place(kind, &name), today.join(kind).join(&name));
+            if to.exists() {
+                // The same folder twice a day: what was first is kept.
+                remove_tree(&from, self.blobs.tmp())?;
+            } else {
+                fs::rename(&from, &to)?;
+            }
+        }
+        Ok(())
+    }
+
+    async fn empty_quarantine(&self) -> Result<(), StoreError> {
+        let (quarantine, tmp) = (self.folder.path().join("quarantine"), self.blobs.tmp().to_owned());
+        let today: Date = Timestamp::now().to_zoned(jiff::tz::TimeZone::UTC).date();
+        let removed = spawn_blocking(move || {
+            let days = match quarantine.read_dir_utf8() {
+                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+                days => days?,
+            };
+            for day in days {
+                let day = day?;
+                let age = day.file_name().parse::<Date>().ok().and_then(|date| today.since(date).ok());
+                if age.is_some_and(|age| i64::from(age.get_days()) > QUARANTINE_DAYS) {
+                    remove_tree(day.path(), &tmp)?;
+                }
+            }
+            Ok::<_, io::Error>(())
+        });
+        Ok(removed.await.map_err(io::Error::other)??)
+    }
+}
