@@ -2,7 +2,7 @@
 
 use crate::chat::ReplayCache;
 use crate::config::ServeConfig;
-use crate::http::{self, App};
+use crate::http::{self, AllowedHosts, App, MAX_EVENT_STREAMS};
 use crate::jobs::{JobKind, Jobs};
 use crate::service::{NamingJob, ParseJob, Service, Vlm, VlmSettings};
 use crate::store::Store;
@@ -11,6 +11,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
@@ -23,7 +24,6 @@ pub struct RunningService {
     shutdown: CancellationToken,
     server: JoinHandle<std::io::Result<()>>,
     lanes: Vec<JoinHandle<()>>,
-    service: Service,
     store: Store,
 }
 
@@ -46,7 +46,10 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         tracing::info!(name = model.name, fingerprint = model.fingerprint, runs_on = model.runs_on, "loaded a model");
     }
     let vlm_settings = VlmSettings { daily_usd: config.vlm.vlm_daily_usd, json: config.vlm.vlm_json };
-    let vlm = config.vlm.client(ReplayCache::Off)?.map(|client| Vlm::new(Arc::new(client), vlm_settings));
+    let vlm = config
+        .vlm
+        .client(ReplayCache::Off)?
+        .map(|client| Vlm::new(Arc::new(client), vlm_settings, store.clone()));
     let parsing = background::pool().context("threads for parses")?;
     let service = Service::new(store.clone(), jobs.clone(), config.limits.service_limits(), vlm, models, parsing);
     let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
@@ -59,13 +62,20 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         start_lane(&jobs, ParseJob(service.clone()), &shutdown, &lane_ended),
         start_lane(&jobs, NamingJob(service.clone()), &shutdown, &lane_ended),
     ];
-    tokio::spawn(forget_daily(service.clone(), shutdown.clone()));
-    let router = http::router(App { service: service.clone(), api_key, shutdown: shutdown.clone(), lane_ended });
-    let server = tokio::spawn({
-        let shutdown = shutdown.clone();
-        async move { axum::serve(listener, router).with_graceful_shutdown(shutdown.cancelled_owned()).await }
-    });
-    Ok(RunningService { address, shutdown, server, lanes, service, store })
+    tokio::spawn(keep_house(service.clone(), shutdown.clone()));
+    // With a key, who asks knows it; on an address of the network, the operator has said that anybody may.
+    let is_private = api_key.is_none() && config.listen.ip().is_loopback();
+    let app = App {
+        service,
+        api_key,
+        shutdown: shutdown.clone(),
+        lane_ended,
+        allowed_hosts: is_private.then(|| Arc::new(AllowedHosts::new(&config.access.allowed_hosts))),
+        event_streams: Arc::new(Semaphore::new(MAX_EVENT_STREAMS)),
+    };
+    let most = most_connections(config.limits.max_connections);
+    let server = tokio::spawn(http::serve(listener, http::router(app), most, shutdown.clone()));
+    Ok(RunningService { address, shutdown, server, lanes, store })
 }
 
 /// Gives a kind of job its lane.
@@ -78,17 +88,28 @@ fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken, en
     })
 }
 
-/// Removes transcripts that were kept long enough: now, and every day.
-async fn forget_daily(service: Service, shutdown: CancellationToken) {
+/// Removes what was kept long enough, sweeps, and looks whether what is stored is still what was written: a while after the start, and every day.
+async fn keep_house(service: Service, shutdown: CancellationToken) {
     const DAY: Duration = Duration::from_hours(24);
-    loop {
-        if let Err(error) = service.forget_transcripts().await {
-            tracing::warn!(error = &error as &dyn std::error::Error, "old transcripts could not be removed");
+    let mut wait = Duration::from_mins(1);
+    while shutdown.run_until_cancelled(sleep(wait)).await.is_some() {
+        if let Some(Err(error)) = shutdown.run_until_cancelled(service.keep_house()).await {
+            tracing::warn!(error = &error as &dyn std::error::Error, "the daily look at what is stored could not be finished");
         }
-        if shutdown.run_until_cancelled(sleep(DAY)).await.is_none() {
-            return;
-        }
+        wait = DAY;
     }
+}
+
+/// As many connections as wanted, as far as the system gives file descriptors for them; the rest is for files.
+fn most_connections(wanted: u32) -> usize {
+    use rustix::process::{Resource, getrlimit, setrlimit};
+    let mut limit = getrlimit(Resource::Nofile);
+    limit.current = limit.maximum;
+    if let Err(error) = setrlimit(Resource::Nofile, limit) {
+        tracing::debug!(%error, "the limit of open files stays where it is");
+    }
+    let files = getrlimit(Resource::Nofile).current.unwrap_or(u64::MAX);
+    usize::try_from(u64::from(wanted).min(files / 2)).unwrap_or(usize::MAX).max(8)
 }
 
 /// How long running requests may take once the service stops.
@@ -113,7 +134,6 @@ impl RunningService {
             abort.abort();
             Ok(())
         };
-        self.service.settle().await?;
         self.store.close().await;
         Ok(served?)
     }

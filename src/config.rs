@@ -4,7 +4,7 @@ use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
 use crate::http::ApiKey;
 use crate::inference::RemoteServer;
 use crate::service::Limits;
-use crate::words;
+use crate::{telemetry, words};
 use anyhow::{Context, bail, ensure};
 use camino::Utf8PathBuf;
 use std::fs;
@@ -21,6 +21,8 @@ const DEFAULT_VLM_CONCURRENCY: u32 = 8;
 const DEFAULT_VLM_TIMEOUT_S: u64 = 300;
 const DEFAULT_VLM_ATTEMPTS: u32 = 5;
 const DEFAULT_VLM_BACKOFF_MS: u64 = 1000;
+const DEFAULT_MAX_CONNECTIONS: u32 = 1024;
+const DEFAULT_KEEP_ANSWERS_DAYS: u32 = 365;
 const DEFAULT_KEEP_EVIDENCE_DAYS: u32 = 30;
 
 /// `uniground serve`
@@ -55,6 +57,9 @@ pub struct AccessConfig {
     /// Serve a non-loopback address without a key: anybody who reaches it can read and delete every scene
     #[arg(long, env = "UNIGROUND_ALLOW_ANYBODY")]
     pub allow_anybody: bool,
+    /// Another name this server may be called by without a key, besides localhost; may be given several times, or with commas
+    #[arg(long = "allowed-host", env = "UNIGROUND_ALLOWED_HOSTS", value_name = "HOST", value_delimiter = ',')]
+    pub allowed_hosts: Vec<String>,
 }
 
 /// A vision-language model behind an OpenAI-compatible chat endpoint. Its key is in UNIGROUND_VLM_API_KEY or in a file.
@@ -127,12 +132,14 @@ impl VlmConfig {
             (Some(_), None) => bail!("--vlm-url needs --vlm-model"),
             (None, Some(_)) => bail!("--vlm-model needs --vlm-url"),
         };
-        ensure!(reqwest::Url::parse(&base_url).is_ok_and(|url| url.has_host()), "--vlm-url: {base_url} is not an address");
+        ensure!(reqwest::Url::parse(&base_url).is_ok_and(|url| url.has_host()), "--vlm-url: this is not an address");
         let api_key = match vlm_api_key_file {
             Some(file) => Some(fs::read_to_string(file).with_context(|| format!("the key file {file}"))?.trim().to_owned()),
             None => std::env::var("UNIGROUND_VLM_API_KEY").ok().map(|key| key.trim().to_owned()),
         };
         let api_key = api_key.filter(|key| !key.is_empty());
+        api_key.iter().for_each(|key| telemetry::hide(key));
+        telemetry::hide_secrets_of(&base_url);
         for (flag, usd) in [
             ("--vlm-prompt-usd", Some(*vlm_prompt_usd)),
             ("--vlm-completion-usd", Some(*vlm_completion_usd)),
@@ -151,7 +158,8 @@ impl VlmConfig {
             ..Patience::default()
         };
         let endpoint = Endpoint { base_url, model, api_key, prices, concurrency: self.vlm_concurrency as usize };
-        Ok(Some(ChatClient::new(endpoint, patience, replay_cache)))
+        let client = ChatClient::new(endpoint, patience, replay_cache).context("a client for the model's server")?;
+        Ok(Some(client))
     }
 }
 
@@ -232,7 +240,8 @@ impl BundlesConfig {
     pub fn engine(&self) -> anyhow::Result<Box<dyn Engine>> {
         Ok(match &self.inference_url {
             Some(url) => {
-                ensure!(reqwest::Url::parse(url).is_ok_and(|url| url.has_host()), "--inference-url: {url} is not an address");
+                telemetry::hide_secrets_of(url);
+                ensure!(reqwest::Url::parse(url).is_ok_and(|url| url.has_host()), "--inference-url: this is not an address");
                 Box::new(RemoteServer::new(url, Duration::from_secs(self.inference_timeout_s))?)
             }
             None => Box::new(OnnxRuntime::load(&self.runtime.settings())?),
@@ -285,6 +294,12 @@ pub struct LimitsConfig {
     /// Questions answered at once
     #[arg(long, env = "UNIGROUND_MAX_CONCURRENT_QUESTIONS", default_value_t = DEFAULT_MAX_CONCURRENT_QUESTIONS, value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub max_concurrent_questions: u32,
+    /// Connections open at once
+    #[arg(long, env = "UNIGROUND_MAX_CONNECTIONS", default_value_t = DEFAULT_MAX_CONNECTIONS, value_parser = clap::value_parser!(u32).range(8..=65_536))]
+    pub max_connections: u32,
+    /// Days for which answers are kept; 0: for ever
+    #[arg(long, env = "UNIGROUND_KEEP_ANSWERS_DAYS", default_value_t = DEFAULT_KEEP_ANSWERS_DAYS, value_name = "DAYS")]
+    pub keep_answers_days: u32,
     /// Days for which the pictures, prompts and replies of answers by a model are kept; 0: none are
     #[arg(long, env = "UNIGROUND_KEEP_EVIDENCE_DAYS", default_value_t = DEFAULT_KEEP_EVIDENCE_DAYS, value_name = "DAYS")]
     pub keep_evidence_days: u32,
@@ -310,6 +325,8 @@ impl Default for LimitsConfig {
             max_unpacked_bytes: UnpackLimits::default().max_bytes,
             max_queued_jobs: DEFAULT_MAX_QUEUED_JOBS,
             max_concurrent_questions: DEFAULT_MAX_CONCURRENT_QUESTIONS,
+            max_connections: DEFAULT_MAX_CONNECTIONS,
+            keep_answers_days: DEFAULT_KEEP_ANSWERS_DAYS,
             keep_evidence_days: DEFAULT_KEEP_EVIDENCE_DAYS,
         }
     }
@@ -322,6 +339,7 @@ impl LimitsConfig {
             max_upload_bytes: self.max_upload_bytes,
             unpack: UnpackLimits { max_bytes: self.max_unpacked_bytes, ..UnpackLimits::default() },
             max_concurrent_questions: self.max_concurrent_questions as usize,
+            keep_answers_days: self.keep_answers_days,
             keep_evidence_days: self.keep_evidence_days,
         }
     }
@@ -340,7 +358,10 @@ impl ServeConfig {
         let key = key.map(|key| key.trim().to_owned());
         match key {
             Some(key) if key.len() < MIN_KEY_BYTES => bail!("the API key is too short: at least {MIN_KEY_BYTES} characters"),
-            Some(key) => Ok(Some(ApiKey::new(&key))),
+            Some(key) => {
+                telemetry::hide(&key);
+                Ok(Some(ApiKey::new(&key)))
+            }
             None if self.listen.ip().is_loopback() || self.access.allow_anybody => Ok(None),
             None => bail!(
                 "{} can be reached from other machines: set UNIGROUND_API_KEY or --api-key-file, or say --allow-anybody",

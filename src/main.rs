@@ -8,7 +8,7 @@ fn main() -> ExitCode {
         // `| head` has seen enough: no failure.
         Err(error) if error.downcast_ref::<io::Error>().is_some_and(|e| e.kind() == io::ErrorKind::BrokenPipe) => ExitCode::SUCCESS,
         Err(error) => {
-            eprintln!("uniground: {error:#}");
+            eprintln!("uniground: {}", uniground::telemetry::scrubbed(&format!("{error:#}")));
             ExitCode::FAILURE
         }
     }

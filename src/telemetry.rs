@@ -1,12 +1,15 @@
-//! The log, on stderr.
+//! The log, on stderr. Secrets this process was told are blotted out of it, at every level and whoever logs them.
 
 use crate::config::{LogConfig, LogFormat};
+use reqwest::Url;
+use std::io::{self, Write};
+use std::sync::{PoisonError, RwLock};
 use tracing_subscriber::EnvFilter;
 
 /// Warnings and errors only, for commands whose output is for people.
 pub fn start_quiet() {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| Scrubbed);
     if let Err(error) = log.try_init() {
         tracing::debug!(%error, "logging runs already");
     }
@@ -15,12 +18,85 @@ pub fn start_quiet() {
 /// Starts logging; a second call in the same process changes nothing.
 pub fn start(config: &LogConfig) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,sqlx=warn,ort=warn"));
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| Scrubbed);
     let started = match config.log_format {
         LogFormat::Text => log.with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr())).try_init(),
         LogFormat::Json => log.json().try_init(),
     };
     if let Err(error) = started {
         tracing::debug!(%error, "logging runs already");
+    }
+}
+
+static SECRETS: RwLock<Vec<String>> = RwLock::new(Vec::new());
+/// Shorter ones would blot out half the log.
+const SHORTEST_SECRET: usize = 6;
+
+/// Keeps a secret out of the log from now on.
+pub fn hide(secret: &str) {
+    let mut secrets = SECRETS.write().unwrap_or_else(PoisonError::into_inner);
+    if secret.len() >= SHORTEST_SECRET && !secrets.iter().any(|known| known == secret) {
+        secrets.push(secret.to_owned());
+        // The longest first: one may be part of another.
+        secrets.sort_by_key(|secret| std::cmp::Reverse(secret.len()));
+    }
+}
+
+/// Keeps out of the log what an address holds of secrets: a password, and the values of its query.
+pub fn hide_secrets_of(address: &str) {
+    if let Ok(url) = Url::parse(address) {
+        url.password().iter().for_each(|password| hide(password));
+        url.query_pairs().for_each(|(_, value)| hide(&value));
+        url.query()
+            .into_iter()
+            .flat_map(|query| query.split('&'))
+            .filter_map(|pair| pair.split_once('='))
+            .for_each(|(_, value)| hide(value));
+    }
+}
+
+/// A text without secrets.
+#[must_use]
+pub fn scrubbed(text: &str) -> String {
+    let secrets = SECRETS.read().unwrap_or_else(PoisonError::into_inner);
+    secrets.iter().fold(text.to_owned(), |text, secret| match text.contains(secret.as_str()) {
+        true => text.replace(secret.as_str(), "<secret>"),
+        false => text,
+    })
+}
+
+/// Stderr, line by line: what formats a line of the log hands it over whole.
+struct Scrubbed;
+
+impl Write for Scrubbed {
+    fn write(&mut self, line: &[u8]) -> io::Result<usize> {
+        io::stderr().write_all(scrubbed(&String::from_utf8_lossy(line)).as_bytes())?;
+        Ok(line.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        io::stderr().flush()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn secrets_are_blotted_out_wherever_they_stand() {
+        hide("sk-telemetry-test");
+        hide_secrets_of("https://user:pass%20telemetry@host.example/v1?api-version=2026&key=telemetry%2Fkey");
+        let line =
+            "authorization: Bearer sk-telemetry-test, https://user:pass%20telemetry@host.example/v1?key=telemetry%2Fkey telemetry/key";
+        let told = scrubbed(line);
+        assert!(
+            !told.contains("sk-telemetry")
+                && !told.contains("pass%20telemetry")
+                && !told.contains("telemetry%2Fkey")
+                && !told.contains("telemetry/key"),
+            "{told}"
+        );
+        assert!(told.contains("host.example"));
     }
 }

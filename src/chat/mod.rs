@@ -9,6 +9,7 @@ use futures::future::BoxFuture;
 pub use replay_cache::ReplayCache;
 use reqwest::Response;
 use reqwest::header::RETRY_AFTER;
+use reqwest::redirect;
 use serde::Deserialize;
 use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
@@ -48,13 +49,13 @@ pub struct Patience {
     pub attempts: u32,
     /// The wait before the second attempt; it doubles from one to the next.
     pub backoff: Duration,
-    /// No wait is longer, whatever the server asks for.
+    /// No wait is longer; a server that asks for more is not asked again.
     pub longest_wait: Duration,
 }
 
 impl Default for Patience {
     fn default() -> Self {
-        Self { timeout: Duration::from_mins(5), attempts: 5, backoff: Duration::from_secs(1), longest_wait: Duration::from_mins(1) }
+        Self { timeout: Duration::from_mins(5), attempts: 5, backoff: Duration::from_secs(1), longest_wait: Duration::from_secs(20) }
     }
 }
 
@@ -115,77 +116,124 @@ struct Usage {
     completion_tokens: Option<u64>,
 }
 
+/// An attempt that came to nothing.
+struct Attempt {
+    error: ChatError,
+    /// Another may help,
+    again: bool,
+    /// after this time, if the server told.
+    wait: Option<Duration>,
+    /// The model may have been at work for it.
+    may_be_billed: bool,
+}
+
+impl Attempt {
+    fn unread(why: String, again: bool) -> Self {
+        Self { error: ChatError::Undecodable(why), again, wait: None, may_be_billed: true }
+    }
+}
+
+const MAX_REDIRECTS: usize = 3;
+/// Servers count differently, pictures above all; what lies beyond these times what was reckoned is no count.
+const MOST_PROMPT_TIMES: u64 = 20;
+/// Models think before they speak, and are paid for that.
+const MOST_COMPLETION_TIMES: u64 = 1000;
+
+/// A server's count of tokens, where it can be one. Servers that do not count are not free: then it is what was reckoned.
+fn believed(counted: Option<u64>, reckoned: u64, most_times: u64) -> u64 {
+    let least = reckoned / most_times;
+    let most = reckoned.max(MOST_COMPLETION_TIMES).saturating_mul(most_times);
+    match counted {
+        Some(counted) if counted > 0 && (least..=most).contains(&counted) => counted,
+        Some(counted) => {
+            tracing::warn!(counted, reckoned, "the model's server told a number of tokens that can not be: what was reckoned is taken");
+            reckoned
+        }
+        None => reckoned,
+    }
+}
+
 impl ChatClient {
-    #[must_use]
-    pub fn new(endpoint: Endpoint, patience: Patience, replay_cache: ReplayCache) -> Self {
+    /// # Errors
+    /// No client can be made: the system's certificates can not be read, say.
+    pub fn new(endpoint: Endpoint, patience: Patience, replay_cache: ReplayCache) -> Result<Self, reqwest::Error> {
         choose_cryptography();
         let turns = Semaphore::new(endpoint.concurrency.max(1));
-        Self { http: reqwest::Client::new(), endpoint, patience, replay_cache, turns }
+        // Prompts and pictures go where the operator said and nowhere else.
+        let redirect = redirect::Policy::custom(|attempt| {
+            let same_place = attempt.previous().first().is_some_and(|first| first.origin() == attempt.url().origin());
+            if same_place && attempt.previous().len() < MAX_REDIRECTS { attempt.follow() } else { attempt.stop() }
+        });
+        let http = reqwest::Client::builder().redirect(redirect).build()?;
+        Ok(Self { http, endpoint, patience, replay_cache, turns })
     }
 
     async fn ask_live(&self, request: &ChatRequest, mut body: Value) -> Result<ChatReply, ChatFailure> {
         let start = Instant::now();
-        let mut attempts = 0;
+        let (mut attempts, mut lost) = (0, 0);
         loop {
             attempts += 1;
-            let (error, wait) = match self.send(&body).await {
+            let Attempt { error, again, wait, may_be_billed } = match self.send(&body).await {
                 Ok(Completion { choices, usage }) => {
                     let latency_ms = start.elapsed().as_secs_f64() * 1e3;
                     // Nothing said is a reply as well, if one that says nothing.
                     let text = choices.into_iter().next().and_then(|choice| choice.message.text()).unwrap_or_default();
                     let Usage { prompt_tokens, completion_tokens } = usage.unwrap_or_default();
-                    // Servers that do not count are not free: it is reckoned.
-                    let prompt_tokens = prompt_tokens.unwrap_or_else(|| Tokens::of(request).total());
-                    let completion_tokens = completion_tokens.unwrap_or_else(|| Tokens::of_text(&text));
-                    return Ok(ChatReply { text, prompt_tokens, completion_tokens, attempts, latency_ms });
+                    let prompt_tokens = believed(prompt_tokens, Tokens::of(request).total(), MOST_PROMPT_TIMES);
+                    let completion_tokens = believed(completion_tokens, Tokens::of_text(&text), MOST_COMPLETION_TIMES);
+                    return Ok(ChatReply { text, prompt_tokens, completion_tokens, attempts, lost, latency_ms });
                 }
-                Err(failure) => failure,
+                Err(attempt) => attempt,
             };
+            lost += u32::from(may_be_billed);
             // A server that knows no schemas is asked without one.
             let refuses_schema = matches!(&error, ChatError::Refused { status: 400 | 404 | 422 | 501, .. });
             if refuses_schema && body.get("response_format").is_some() {
                 body = self.body(request, false);
                 continue;
             }
-            let Some(asked_for) = wait.filter(|_| attempts < self.patience.attempts) else {
-                return Err(ChatFailure { error, attempts, latency_ms: start.elapsed().as_secs_f64() * 1e3 });
-            };
+            // A server that wants hours will not answer this question.
+            let too_long = wait.is_some_and(|wait| wait > self.patience.longest_wait);
+            if !again || too_long || attempts >= self.patience.attempts {
+                return Err(ChatFailure { error, attempts, lost, latency_ms: start.elapsed().as_secs_f64() * 1e3 });
+            }
             // Jitter from the clock spreads callers that failed together; nothing that is kept depends on it.
             let jitter = f64::from(start.elapsed().subsec_nanos() % 1000) / 1000.0;
             let backoff = self.patience.backoff.mul_f64(f64::from(1_u32 << (attempts - 1).min(16)) * (1.0 + 0.25 * jitter));
-            sleep(asked_for.unwrap_or(backoff).min(self.patience.longest_wait)).await;
+            sleep(wait.unwrap_or(backoff).min(self.patience.longest_wait)).await;
         }
     }
 
-    /// One attempt. A failure says whether another may help, and after how long if the server told.
-    async fn send(&self, body: &Value) -> Result<Completion, (ChatError, Option<Option<Duration>>)> {
+    async fn send(&self, body: &Value) -> Result<Completion, Attempt> {
         let url = format!("{}/chat/completions", self.endpoint.base_url.trim_end_matches('/'));
         let mut request = self.http.post(url).timeout(self.patience.timeout).json(body);
         if let Some(key) = &self.endpoint.api_key {
             request = request.bearer_auth(key);
         }
-        let transport = |error: reqwest::Error| (ChatError::Transport(with_causes(&error.without_url())), Some(None));
+        // A connection that was never made has sent nothing.
+        let transport = |error: reqwest::Error| {
+            let may_be_billed = !error.is_connect() && !error.is_builder();
+            Attempt { error: ChatError::Transport(with_causes(&error.without_url())), again: true, wait: None, may_be_billed }
+        };
         let _turn = self.turns.acquire().await;
         let response = request.send().await.map_err(transport)?;
         let (status, wait) = (response.status(), retry_after(&response));
         let text = bounded(response)
             .await
             .map_err(transport)?
-            .ok_or_else(|| (ChatError::Undecodable(format!("it is longer than {MAX_REPLY_BYTES} bytes")), None))?;
+            .ok_or_else(|| Attempt::unread(format!("it is longer than {MAX_REPLY_BYTES} bytes"), false))?;
         if !status.is_success() {
             let again = matches!(status.as_u16(), 408 | 409 | 429) || status.is_server_error();
-            return Err((
-                ChatError::Refused {
-                    status: status.as_u16(),
-                    reason: status.canonical_reason().unwrap_or("of its own"),
-                    detail: detail(&self.without_key(&text)),
-                },
-                again.then_some(wait),
-            ));
+            let error = ChatError::Refused {
+                status: status.as_u16(),
+                reason: status.canonical_reason().unwrap_or("of its own"),
+                detail: detail(&self.without_key(&text)),
+            };
+            // Behind an error of the server's own the model may have been at work.
+            return Err(Attempt { error, again, wait, may_be_billed: status.is_server_error() || status.as_u16() == 408 });
         }
-        let undecodable = |why: String| (ChatError::Undecodable(why), Some(None));
-        let completion: Completion = serde_json::from_str(&text).map_err(|error| undecodable(error.to_string()))?;
-        if completion.choices.is_empty() { Err(undecodable("there is no choice".into())) } else { Ok(completion) }
+        let completion: Completion = serde_json::from_str(&text).map_err(|error| Attempt::unread(error.to_string(), true))?;
+        if completion.choices.is_empty() { Err(Attempt::unread("there is no choice".into(), true)) } else { Ok(completion) }
     }
 
     /// Some servers repeat the key they were shown.
@@ -230,7 +278,7 @@ impl ChatModel for ChatClient {
     /// From the replay cache where it has the answer.
     fn ask<'a>(&'a self, request: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
         async move {
-            let never_asked = |error| ChatFailure { error, attempts: 0, latency_ms: 0.0 };
+            let never_asked = |error| ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 };
             let body = self.body(request, request.schema.is_some());
             if self.replay_cache.is_off() {
                 return self.ask_live(request, body).await;

@@ -107,7 +107,8 @@ mod tests {
     fn a_file_that_was_cut_off_is_continued() {
         let folder = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(folder.path()).unwrap().join("answers.jsonl");
-        let reply = |text: &str| ChatReply { text: text.into(), prompt_tokens: 1, completion_tokens: 1, attempts: 1, latency_ms: 0.0 };
+        let reply =
+            |text: &str| ChatReply { text: text.into(), prompt_tokens: 1, completion_tokens: 1, attempts: 1, lost: 0, latency_ms: 0.0 };
         ReplayCache::record(&path).unwrap().record_reply("one", "m", &reply("1")).unwrap();
         let whole = fs::read_to_string(&path).unwrap();
         fs::write(&path, format!("{whole}{}", &whole[..whole.len() / 2])).unwrap();

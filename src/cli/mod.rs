@@ -1,6 +1,7 @@
 //! The command line: one file per subcommand.
 
 mod demo;
+mod doctor;
 mod eval;
 mod ground;
 mod models;
@@ -34,6 +35,8 @@ enum Command {
     Eval(Box<eval::EvalArgs>),
     /// Fetch, list and verify model bundles
     Models(models::ModelsArgs),
+    /// Look whether a data folder is whole, and repair what can be
+    Doctor(doctor::DoctorArgs),
     /// Print the OpenAPI description of the service
     Openapi,
 }
@@ -50,6 +53,7 @@ pub fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Parse(args) => parse::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Models(args) => models::run(args),
+        Command::Doctor(args) => asynchronous(doctor::run(args)),
         Command::Openapi => openapi::run(),
     }
 }

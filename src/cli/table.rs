@@ -1,5 +1,6 @@
 //! Answers as tables people can read.
 
+use crate::service::Finding;
 use comfy_table::{ContentArrangement, Table, presets};
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::{Alternative, Status};
@@ -35,6 +36,16 @@ pub fn of_answer(answer: &Answer) -> Table {
     table.add_row(vec!["Relation used".to_owned(), or_none(fields.relation_used.clone())]);
     table.add_row(vec!["Box (m, Z up)".to_owned(), or_none(answer.aabb.as_ref().map(of_box))]);
     table.add_row(vec!["Time".to_owned(), format!("{:.2} ms", answer.timings_ms.total)]);
+    table
+}
+
+/// What is wrong with a data folder.
+pub fn of_findings(findings: &[Finding]) -> Table {
+    let mut table = empty();
+    table.set_header(vec!["What", "Trouble", "Remedy"]);
+    for Finding { trouble, detail } in findings {
+        table.add_row(vec![trouble.to_string(), detail.clone(), trouble.remedy().unwrap_or("none").to_owned()]);
+    }
     table
 }
 

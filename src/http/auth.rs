@@ -36,7 +36,9 @@ pub async fn require_key(State(app): State<App>, request: Request, next: Next) -
         .headers()
         .get(header::AUTHORIZATION)
         .and_then(|v| v.to_str().ok())
-        .and_then(|v| v.strip_prefix("Bearer "));
+        .and_then(|v| v.split_once(' '))
+        .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
+        .map(|(_, presented)| presented);
     if presented.is_some_and(|presented| key.matches(presented.trim())) {
         return next.run(request).await;
     }

@@ -1,10 +1,10 @@
 //! `/v1/jobs`
 
-use super::App;
 use super::extract::Path;
 use super::problem::Refused;
+use super::{App, MAX_EVENT_STREAMS};
 use crate::error::Error;
-use crate::jobs::Job;
+use crate::jobs::{Job, JobsError};
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
@@ -67,6 +67,7 @@ pub async fn cancel(State(app): State<App>, Path(job_id): Path<String>) -> Resul
         (status = 200, body = JobEvent, content_type = "text/event-stream"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
     security(("key" = []), ())
 )]
@@ -76,8 +77,12 @@ pub async fn events(
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Refused> {
     app.service.jobs.get(&job_id).await.map_err(Error::from)?;
+    let place = app.event_streams.clone().try_acquire_owned();
+    let place = place.map_err(|_| Error::TooMany { what: "event streams", most: MAX_EVENT_STREAMS })?;
     let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()).map(str::to_owned);
     let stream = stream::unfold(Some(seen), move |state| {
+        // The place is the stream's: free when it ends.
+        let _ = &place;
         let (app, job_id) = (app.clone(), job_id.clone());
         async move { next_event(&app, &job_id, state?).await }
     });
@@ -90,7 +95,15 @@ async fn next_event(app: &App, job_id: &str, seen: Option<String>) -> Option<(Re
         if app.shutdown.is_cancelled() {
             return None;
         }
-        let job = app.service.jobs.get(job_id).await.ok()?;
+        // A database that is busy for a moment does not end the stream.
+        let job = match app.service.jobs.get_lately(job_id, LOOK_EVERY).await {
+            Err(JobsError::NotFound { .. }) => return None,
+            job => job.ok(),
+        };
+        let Some(job) = job else {
+            tokio::time::sleep(LOOK_EVERY * 10).await;
+            continue;
+        };
         let id = event_id(&job);
         let over = job.state.is_final();
         if over || seen.as_deref() != Some(&id) {

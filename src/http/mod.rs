@@ -2,9 +2,11 @@
 
 mod answers;
 mod auth;
+mod connections;
 mod extract;
 mod grounding;
 mod health;
+mod hosts;
 mod instances;
 mod jobs;
 mod problem;
@@ -13,23 +15,30 @@ mod scenes;
 
 pub use auth::ApiKey;
 use auth::BearerAuth;
+pub use connections::serve;
+pub use hosts::AllowedHosts;
 use problem::Refused;
 
 use crate::service::Service;
 use axum::extract::{MatchedPath, Request};
-use axum::http::HeaderName;
+use axum::http::{HeaderName, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
 use axum::{Router, middleware};
 use std::sync::Arc;
+use std::time::Duration;
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
+use tower::util::MapRequestLayer;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
+use tower_http::set_header::SetResponseHeaderLayer;
+use tower_http::timeout::RequestBodyTimeoutLayer;
 use tower_http::trace::{DefaultOnResponse, TraceLayer};
 use tracing::{Level, Span};
 use utoipa::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
-use utoipa_swagger_ui::SwaggerUi;
+use utoipa_swagger_ui::{Config, SwaggerUi};
 
 /// What handlers share.
 #[derive(Clone)]
@@ -41,7 +50,14 @@ pub struct App {
     pub shutdown: CancellationToken,
     /// Cancelled when a lane of jobs has ended.
     pub lane_ended: CancellationToken,
+    /// By which names this server may be called; any, where not set.
+    pub allowed_hosts: Option<Arc<AllowedHosts>>,
+    /// One for each event stream that may be open.
+    pub event_streams: Arc<Semaphore>,
 }
+
+/// Event streams open at once.
+pub const MAX_EVENT_STREAMS: usize = 256;
 
 #[derive(OpenApi)]
 #[openapi(
@@ -106,15 +122,26 @@ pub fn openapi() -> utoipa::openapi::OpenApi {
 /// The whole application.
 pub fn router(app: App) -> Router {
     let (router, openapi) = routes().split_for_parts();
+    // Nobody outside is asked whether the description is valid.
+    let page = SwaggerUi::new("/docs")
+        .url("/openapi.json", openapi)
+        .config(Config::default().validator_url("none"));
     router
         .layer(middleware::from_fn_with_state(app.clone(), auth::require_key))
-        .with_state(app)
+        .with_state(app.clone())
         // Health, the description and its page are open to everybody: the key protects scans and questions.
-        .merge(SwaggerUi::new("/docs").url("/openapi.json", openapi))
+        .merge(page)
         .fallback(problem::no_such_route)
         .method_not_allowed_fallback(problem::method_not_allowed)
+        .layer(middleware::from_fn_with_state(app, hosts::check))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(problem::name_request))
+        .layer(always(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
+        .layer(always(header::X_FRAME_OPTIONS, "DENY"))
+        .layer(always(header::REFERRER_POLICY, "no-referrer"))
+        // Scans of somebody's home: no cache on the way keeps them.
+        .layer(always(header::CACHE_CONTROL, "no-store"))
+        .layer(RequestBodyTimeoutLayer::new(BODY_SILENCE))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(
             TraceLayer::new_for_http()
@@ -125,6 +152,24 @@ pub fn router(app: App) -> Router {
                 .on_failure(()),
         )
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
+        .layer(MapRequestLayer::new(without_odd_id))
+}
+
+/// A body that says nothing for so long is given up.
+const BODY_SILENCE: Duration = Duration::from_secs(25);
+
+fn always(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<HeaderValue> {
+    SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))
+}
+
+/// A caller's own request id is taken where it is one: short, and nothing that could pass for something else in a log.
+fn without_odd_id(mut request: Request) -> Request {
+    const LONGEST: usize = 128;
+    let fits = |id: &[u8]| (1..=LONGEST).contains(&id.len()) && id.iter().all(|b| b.is_ascii_alphanumeric() || b"-_.:/+=".contains(b));
+    if request.headers().get(REQUEST_ID).is_some_and(|id| !fits(id.as_bytes())) {
+        request.headers_mut().remove(REQUEST_ID);
+    }
+    request
 }
 
 /// Every line that is logged for a request carries its id, method and route.

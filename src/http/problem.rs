@@ -101,7 +101,7 @@ fn status_of(error: &Error) -> StatusCode {
             IngestError::Cancelled(_) => StatusCode::CONFLICT,
             IngestError::Io { .. } => StatusCode::INTERNAL_SERVER_ERROR,
         },
-        Error::Parse(_) | Error::Invalid { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+        Error::Parse(_) | Error::Invalid { .. } | Error::IdempotencyKeyReused => StatusCode::UNPROCESSABLE_ENTITY,
         Error::Jobs(error) => match error {
             JobsError::NotFound { .. } => StatusCode::NOT_FOUND,
             JobsError::QueueFull { .. } => StatusCode::TOO_MANY_REQUESTS,
@@ -121,7 +121,6 @@ fn status_of(error: &Error) -> StatusCode {
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
         Error::Overloaded | Error::TooMany { .. } => StatusCode::TOO_MANY_REQUESTS,
         Error::ParseDamaged { .. } => StatusCode::SERVICE_UNAVAILABLE,
-        Error::IdempotencyKeyReused => StatusCode::UNPROCESSABLE_ENTITY,
         Error::UploadTooSlow { .. } => StatusCode::REQUEST_TIMEOUT,
         Error::UploadTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
         Error::UploadInterrupted { .. } => StatusCode::BAD_REQUEST,
@@ -129,9 +128,25 @@ fn status_of(error: &Error) -> StatusCode {
     }
 }
 
+/// What is repeated of a request in its refusal: enough to see what is meant.
+const LONGEST_TEXT: usize = 1000;
+
+fn shorten(text: &mut String) {
+    if let Some((cut, _)) = text.char_indices().nth(LONGEST_TEXT) {
+        text.truncate(cut);
+        text.push_str("...");
+    }
+}
+
 impl IntoResponse for Refused {
     fn into_response(self) -> Response {
-        let Self(problem) = self;
+        let Self(mut problem) = self;
+        shorten(&mut problem.detail);
+        problem.errors.truncate(1);
+        for FieldError { pointer, detail } in &mut problem.errors {
+            shorten(pointer);
+            shorten(detail);
+        }
         let status = StatusCode::from_u16(problem.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         let mut response = (status, Json(&problem)).into_response();
         response

@@ -249,11 +249,13 @@ mod tests {
         }
     }
 
+    const RECOVERY: Recovery = Recovery { give_up_after: 4, at_once: 2, wait: Duration::from_hours(1) };
+
     async fn submit(jobs: &Jobs, what: &str) -> String {
         jobs.submit::<Obedient>("s", &what.to_owned()).await.unwrap().id
     }
 
-    fn lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken) -> tokio::task::JoinHandle<Result<(), StoreError>> {
+    fn lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken) -> tokio::task::JoinHandle<()> {
         let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
         tokio::spawn(async move { jobs.run_lane(Arc::new(kind), shutdown).await })
     }
@@ -291,7 +293,7 @@ mod tests {
             assert_eq!(job.attempts, if what == "fail twice" { 3 } else { 1 }, "{what}");
         }
         shutdown.cancel();
-        worker.await.unwrap().unwrap();
+        worker.await.unwrap();
     }
 
     #[tokio::test]
@@ -306,7 +308,7 @@ mod tests {
         until(&jobs, &first, |j| j.state == JobState::Cancelled).await;
         until(&jobs, &second, |j| j.state == JobState::Running).await;
         shutdown.cancel();
-        worker.await.unwrap().unwrap();
+        worker.await.unwrap();
         let put_back = jobs.get(&second).await.unwrap();
         assert_eq!((put_back.state, put_back.attempts), (JobState::Queued, 0));
     }
@@ -330,8 +332,42 @@ mod tests {
         jobs.store.claim_job(Obedient::NAME).await.unwrap().unwrap();
         jobs.cancel(&id).await.unwrap();
         // The server dies here; the next one looks after its queue.
-        jobs.store.recover_jobs(Obedient::NAME, 3).await.unwrap();
+        jobs.store.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
         assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Cancelled);
+    }
+
+    /// A host that is killed again and again is not the job's fault as long as the job gets on.
+    #[tokio::test]
+    async fn interruptions_count_only_while_a_job_gets_no_further() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = queue(&folder).await;
+        let id = submit(&jobs, "this").await;
+        let interrupted = async |progress| {
+            let job = jobs.store.claim_job(Obedient::NAME).await.unwrap().unwrap();
+            jobs.store.save_job_progress(&job.id, "stage", progress).await.unwrap();
+            jobs.store.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
+            jobs.get(&id).await.unwrap().state
+        };
+        for step in 1_u8..30 {
+            assert_eq!(interrupted(f32::from(step) / 100.0).await, JobState::Queued);
+        }
+        // Then it gets no further: it waits,
+        assert_eq!(interrupted(0.1).await, JobState::Queued);
+        assert_eq!(jobs.store.claim_job(Obedient::NAME).await.unwrap(), None, "not at once again");
+    }
+
+    #[tokio::test]
+    async fn a_job_that_brings_its_server_down_fails_in_the_end() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = queue(&folder).await;
+        let id = submit(&jobs, "this").await;
+        let recovery = Recovery { wait: Duration::ZERO, ..RECOVERY };
+        for _ in 0..4 {
+            assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Queued);
+            jobs.store.claim_job(Obedient::NAME).await.unwrap().unwrap();
+            jobs.store.recover_jobs(Obedient::NAME, recovery).await.unwrap();
+        }
+        assert_eq!(jobs.get(&id).await.unwrap().error.unwrap().code, "interrupted");
     }
 
     #[tokio::test]
@@ -349,7 +385,7 @@ mod tests {
         assert_eq!(jobs.get(&slow[2]).await.unwrap().state, JobState::Queued, "two at once, no more");
         shutdown.cancel();
         for worker in workers {
-            worker.await.unwrap().unwrap();
+            worker.await.unwrap();
         }
     }
 

@@ -5,8 +5,10 @@ use crate::store::{JobRow, JobState, Store, StoreError};
 use jiff::Timestamp;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
+use uniground_core::recent::Recent;
 
 #[derive(Debug, thiserror::Error)]
 pub enum JobsError {
@@ -49,14 +51,19 @@ pub struct Jobs {
     /// By kind: told when a job was queued.
     bells: Arc<Mutex<HashMap<&'static str, Arc<Notify>>>>,
     running: Arc<Mutex<HashMap<String, Running>>>,
+    /// Jobs that are followed, and when they were looked at.
+    looked_at: Arc<Recent<(Instant, Job)>>,
     max_queued: u32,
 }
+
+/// Jobs followed at once whose state is shared among those who follow.
+const FOLLOWED: usize = 64;
 
 impl Jobs {
     /// At most `max_queued` jobs of a kind wait.
     #[must_use]
     pub fn new(store: Store, max_queued: u32) -> Self {
-        Self { store, bells: Arc::default(), running: Arc::default(), max_queued }
+        Self { store, bells: Arc::default(), running: Arc::default(), looked_at: Arc::new(Recent::new(FOLLOWED)), max_queued }
     }
 
     /// Queues a job on a subject: the id of what it works on.
@@ -91,6 +98,7 @@ impl Jobs {
     }
 
     /// A job that somebody recorded, as callers see it; its lane is told if it waits.
+    #[allow(clippy::must_use_candidate)] // Its lane is told.
     pub fn recorded<K: JobKind>(&self, row: JobRow) -> Job {
         if row.state == JobState::Queued {
             self.bell(K::NAME).notify_one();
@@ -113,6 +121,21 @@ impl Jobs {
             row.stage = (!stage.is_empty()).then(|| stage.to_owned());
         }
         Ok(job_of(row, Timestamp::now()))
+    }
+
+    /// A job as it stands, or stood less than `age` ago: those who follow it look at it together.
+    ///
+    /// # Errors
+    /// [`JobsError::NotFound`].
+    pub async fn get_lately(&self, id: &str, age: Duration) -> Result<Job, JobsError> {
+        if let Some((at, job)) = self.looked_at.get(id)
+            && at.elapsed() < age
+        {
+            return Ok(job);
+        }
+        let job = self.get(id).await?;
+        self.looked_at.put(id.to_owned(), (Instant::now(), job.clone()), 1);
+        Ok(job)
     }
 
     /// Asks a job to stop. Queued jobs stop at once, running ones at their next check; finished ones stay as they are. A wish is written

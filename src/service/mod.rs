@@ -4,6 +4,8 @@
 //! what it costs and what is remembered.
 
 mod answers;
+mod doctor;
+mod housekeeping;
 mod instances;
 mod names;
 mod parses;
@@ -11,6 +13,7 @@ mod scenes;
 mod vlm;
 
 pub use answers::usage;
+pub use doctor::{Finding, Trouble};
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};
 pub use scenes::NewScene;
@@ -38,6 +41,8 @@ pub struct Limits {
     pub unpack: UnpackLimits,
     /// Questions being answered at once; more wait their turn, shortly.
     pub max_concurrent_questions: usize,
+    /// Days for which answers are kept; 0: for ever.
+    pub keep_answers_days: u32,
     /// Days for which prompts, replies and pictures of answers are kept; 0: none are.
     pub keep_evidence_days: u32,
 }
@@ -91,17 +96,6 @@ impl Service {
     #[must_use]
     pub fn loaded_models(&self) -> &[LoadedModel] {
         &self.models.loaded
-    }
-
-    /// Writes down what was spent on the model until now: the last thing before the store closes.
-    ///
-    /// # Errors
-    /// When the store fails.
-    pub async fn settle(&self) -> Result<(), Error> {
-        match &self.vlm {
-            Some(vlm) => vlm.note_spending(&self.store).await,
-            None => Ok(()),
-        }
     }
 
     /// The vision-language model's name.

@@ -2,13 +2,16 @@
 
 use crate::error::Error;
 use crate::store::{Store, now};
-use std::sync::Arc;
-use std::sync::{Mutex, PoisonError};
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
-use uniground_core::models::chat::{Budget, ChatModel};
+use uniground_core::models::chat::{Budget, ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Prices};
+use uniground_core::models::with_causes;
 
 /// A model and how it is used here.
 pub struct Vlm {
+    /// Writes down what each call costs.
     pub model: Arc<dyn ChatModel>,
     settings: VlmSettings,
     /// Questions that wait for the model; more are told to come back.
@@ -22,8 +25,6 @@ struct Today {
     /// Its date, UTC.
     day: String,
     budget: Budget,
-    /// What is written down already.
-    noted_usd: f64,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -39,7 +40,8 @@ const MAX_WAITING: usize = 256;
 
 impl Vlm {
     #[must_use]
-    pub fn new(model: Arc<dyn ChatModel>, settings: VlmSettings) -> Self {
+    pub fn new(model: Arc<dyn ChatModel>, settings: VlmSettings, store: Store) -> Self {
+        let model = Arc::new(Metered { model, store });
         Self { model, settings, places: Arc::new(Semaphore::new(MAX_WAITING)), today: Mutex::default() }
     }
 
@@ -62,23 +64,8 @@ impl Vlm {
         Ok(of_question.map(|usd| Budget::new("this question", usd)).into_iter().chain([today]).collect())
     }
 
-    /// Writes down what was spent today.
-    pub(super) async fn note_spending(&self, store: &Store) -> Result<(), Error> {
-        let known = self.today.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let Some(Today { day, budget, noted_usd }) = known else { return Ok(()) };
-        let spent = budget.spent_usd();
-        if spent > noted_usd {
-            store.set_spent_on(&day, spent).await?;
-            let mut today = self.today.lock().unwrap_or_else(PoisonError::into_inner);
-            if let Some(today) = today.as_mut().filter(|today| today.day == day) {
-                today.noted_usd = today.noted_usd.max(spent);
-            }
-        }
-        Ok(())
-    }
-
     async fn budget_of_today(&self, store: &Store) -> Result<Budget, Error> {
-        let day = now()[..10].to_owned();
+        let day = today();
         let of_day = |known: &Option<Today>| known.as_ref().filter(|today| today.day == day).map(|today| today.budget.clone());
         let known = of_day(&self.today.lock().unwrap_or_else(PoisonError::into_inner));
         if let Some(budget) = known {
@@ -91,7 +78,85 @@ impl Vlm {
             return Ok(budget);
         }
         let budget = Budget::new("today", self.settings.daily_usd.unwrap_or(f64::INFINITY)).with_spent(spent);
-        *today = Some(Today { day: day.clone(), budget: budget.clone(), noted_usd: spent });
+        *today = Some(Today { day, budget: budget.clone() });
         Ok(budget)
+    }
+}
+
+/// Today's date, UTC.
+fn today() -> String {
+    now()[..10].to_owned()
+}
+
+/// A model whose calls are written down before they are made: whatever becomes of the server or of who asked, what was spent is known.
+struct Metered {
+    model: Arc<dyn ChatModel>,
+    store: Store,
+}
+
+impl ChatModel for Metered {
+    fn name(&self) -> &str {
+        self.model.name()
+    }
+
+    fn prices(&self) -> Prices {
+        self.model.prices()
+    }
+
+    fn ask<'a>(&'a self, request: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
+        async move {
+            let prices = self.model.prices();
+            if !prices.are_known() {
+                return self.model.ask(request).await;
+            }
+            let thought_usd = prices.thought_usd(request);
+            let reserved = self.store.reserve_spending(&today(), thought_usd).await;
+            let id = reserved.map_err(|error| {
+                let error = ChatError::NotRecordable(with_causes(&error));
+                ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 }
+            })?;
+            // Who leaves while the model thinks has asked it all the same.
+            let mut call = Call { store: self.store.clone(), open: Some((id, thought_usd)) };
+            let outcome = self.model.ask(request).await;
+            call.open = call.open.take().map(|(id, _)| (id, prices.paid_usd(request, &outcome)));
+            call.settle().await;
+            outcome
+        }
+        .boxed()
+    }
+}
+
+/// A call under way.
+struct Call {
+    store: Store,
+    /// Its reservation, and what it is taken to cost.
+    open: Option<(String, f64)>,
+}
+
+impl Call {
+    async fn settle(&mut self) {
+        if let Some((id, usd)) = self.open.take() {
+            settle(&self.store, &id, usd).await;
+        }
+    }
+}
+
+impl Drop for Call {
+    fn drop(&mut self) {
+        if let Some((id, usd)) = self.open.take() {
+            let store = self.store.clone();
+            tokio::spawn(async move { settle(&store, &id, usd).await });
+        }
+    }
+}
+
+/// What can not be settled stays reserved, and counts as spent when the server starts next.
+async fn settle(store: &Store, id: &str, usd: f64) {
+    if let Err(error) = store.settle_spending(id, usd).await {
+        tracing::warn!(
+            usd,
+            error = &error as &dyn std::error::Error,
+            "what a call has cost could not be written down: it stays reserved"
+        );
     }
 }

@@ -14,4 +14,12 @@ impl Store {
             .await?;
         Ok(found.is_some())
     }
+
+    /// Hashes of everything that was uploaded.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn all_contents(&self) -> Result<Vec<String>, StoreError> {
+        Ok(sqlx::query_scalar("SELECT hash FROM contents ORDER BY hash").fetch_all(&self.reader).await?)
+    }
 }

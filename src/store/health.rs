@@ -44,6 +44,20 @@ impl Store {
         StoreHealth { database, blobs: readable.err().map(|error| error.to_string()), disk }
     }
 
+    /// What SQLite finds wrong with the database; nothing where all is well.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn integrity(&self) -> Result<Vec<String>, StoreError> {
+        let mut complaints: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check").fetch_all(&self.reader).await?;
+        complaints.retain(|complaint| complaint != "ok");
+        let broken: Vec<String> = sqlx::query_scalar("SELECT DISTINCT \"table\" FROM pragma_foreign_key_check")
+            .fetch_all(&self.reader)
+            .await?;
+        complaints.extend(broken.iter().map(|table| format!("rows of {table} refer to what is not there")));
+        Ok(complaints)
+    }
+
     async fn write_something(&self) -> Result<(), StoreError> {
         let mut tx = self.writer.begin().await?;
         sqlx::query("UPDATE data_folder SET since = since").execute(&mut *tx).await?;

@@ -248,6 +248,23 @@ impl Store {
         Ok(sqlx::query_as(sql).fetch_all(&self.reader).await?)
     }
 
+    /// Jobs that are not over though their scene is gone: id and subject.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn jobs_without_scene(&self) -> Result<Vec<(String, String)>, StoreError> {
+        let sql = "SELECT id, subject FROM jobs WHERE state IN ('queued', 'running') AND subject NOT IN (SELECT id FROM scenes)";
+        Ok(sqlx::query_as(sql).fetch_all(&self.reader).await?)
+    }
+
+    /// Ends a job whose scene is gone.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn end_orphan(&self, id: &str) -> Result<(), StoreError> {
+        self.finish_job(id, JobState::Cancelled, None, None).await
+    }
+
     /// At start: jobs of a kind that a server left running end as they were asked to, or go back to their queue. One that got further than
     /// ever before starts to count anew; one that did not waits longer each time, and fails in the end: it may be what stops the server.
     ///

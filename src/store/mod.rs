@@ -118,6 +118,7 @@ impl Store {
     pub async fn open(data_dir: &Utf8Path) -> Result<Self, StoreError> {
         let store = Self::open_as_it_is(data_dir).await?;
         store.forget_unused_rows().await?;
+        store.settle_what_was_left().await?;
         // What can not be swept is no reason not to serve.
         if let Err(error) = store.sweep().await {
             tracing::warn!(error = &error as &dyn std::error::Error, "the data folder could not be swept");

@@ -39,6 +39,12 @@ impl FromRow<'_, SqliteRow> for ParseRow {
 }
 
 impl ParseRow {
+    /// Whether its files were found lost or damaged, and it is kept for its answers only.
+    #[must_use]
+    pub fn is_retired(&self) -> bool {
+        self.settings_hash.contains(":retired:")
+    }
+
     /// What the row says, as far as this version can read it.
     #[must_use]
     pub fn record(&self) -> ParseRecord {

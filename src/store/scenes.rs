@@ -48,7 +48,7 @@ pub struct NewSceneRow<'a> {
 
 /// What came of recording a scene.
 pub enum Inserted {
-    New(SceneRow, Option<JobRow>),
+    New(SceneRow, Option<Box<JobRow>>),
     /// The same key made this one before.
     MadeBefore(SceneRow),
     /// The key was used for another request.
@@ -70,13 +70,13 @@ impl Store {
         let NewSceneRow { id, name, content_hash, content_bytes, key, job } = new;
         let time = now();
         let mut tx = self.writer.begin().await?;
-        if let Some((key, request)) = key {
-            if let Some((scene, before)) = made_by_key(&mut tx, key).await? {
-                tx.forget().await?;
-                // Servers of before requests were noted believed the key.
-                let same = before.is_none_or(|before| before == request);
-                return Ok(if same { Inserted::MadeBefore(scene) } else { Inserted::KeyReused });
-            }
+        if let Some((key, request)) = key
+            && let Some((scene, before)) = made_by_key(&mut tx, key).await?
+        {
+            tx.forget().await?;
+            // Servers of before requests were noted believed the key.
+            let same = before.is_none_or(|before| before == request);
+            return Ok(if same { Inserted::MadeBefore(scene) } else { Inserted::KeyReused });
         }
         sqlx::query("INSERT INTO contents (hash, bytes, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
             .bind(content_hash)
@@ -96,7 +96,7 @@ impl Store {
         };
         let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = ?").bind(id).fetch_one(&mut *tx).await?;
         tx.commit().await?;
-        Ok(Inserted::New(scene, job))
+        Ok(Inserted::New(scene, job.map(Box::new)))
     }
 
     /// Records a job and makes it the scene's own, as one. `None` when the scene is gone.

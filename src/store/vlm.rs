@@ -39,7 +39,7 @@ impl Store {
                 .execute(&mut *tx)
                 .await?;
         }
-        Ok(tx.commit().await?)
+        tx.commit().await
     }
 
     /// What was spent on a day, US dollars.
@@ -54,13 +54,44 @@ impl Store {
         Ok(usd.unwrap_or(0.0))
     }
 
-    /// Notes what has been spent on a day until now; an older, smaller sum that arrives late changes nothing.
+    /// Puts money aside for a call that is about to be made; the reservation's id.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn set_spent_on(&self, day: &str, usd: f64) -> Result<(), StoreError> {
-        let sql = "INSERT INTO spending (day, usd) VALUES (?1, ?2) ON CONFLICT (day) DO UPDATE SET usd = max(usd, ?2)";
-        sqlx::query(sql).bind(day).bind(usd).execute(self.writer.pool()).await?;
-        Ok(())
+    pub async fn reserve_spending(&self, day: &str, usd: f64) -> Result<String, StoreError> {
+        let id = self.new_id();
+        let sql = "INSERT INTO reservations (id, day, usd) VALUES (?, ?, ?)";
+        sqlx::query(sql).bind(&id).bind(day).bind(usd).execute(self.writer.pool()).await?;
+        Ok(id)
+    }
+
+    /// Notes what a call has cost in place of what was put aside for it.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn settle_spending(&self, id: &str, usd: f64) -> Result<(), StoreError> {
+        let mut tx = self.writer.begin().await?;
+        let day: Option<String> = sqlx::query_scalar("DELETE FROM reservations WHERE id = ? RETURNING day")
+            .bind(id)
+            .fetch_optional(&mut *tx)
+            .await?;
+        if let Some(day) = day {
+            let sql = "INSERT INTO spending (day, usd) VALUES (?1, ?2) ON CONFLICT (day) DO UPDATE SET usd = usd + ?2";
+            sqlx::query(sql).bind(day).bind(usd).execute(&mut *tx).await?;
+        }
+        tx.commit().await
+    }
+
+    /// Counts what was put aside for calls of a server that is no more as spent.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub(super) async fn settle_what_was_left(&self) -> Result<(), StoreError> {
+        let mut tx = self.writer.begin().await?;
+        let sql = "INSERT INTO spending (day, usd) SELECT day, sum(usd) FROM reservations WHERE true GROUP BY day
+                   ON CONFLICT (day) DO UPDATE SET usd = usd + excluded.usd";
+        sqlx::query(sql).execute(&mut *tx).await?;
+        sqlx::query("DELETE FROM reservations").execute(&mut *tx).await?;
+        tx.commit().await
     }
 }

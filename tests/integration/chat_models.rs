@@ -24,6 +24,7 @@ fn client(base_url: String, replay_cache: ReplayCache) -> ChatClient {
         quick(),
         replay_cache,
     )
+    .unwrap()
 }
 
 fn question(text: &str) -> ChatRequest {

@@ -44,8 +44,6 @@ impl Service {
                 .unwrap_or(Err(Error::QuestionTimedOut { seconds })),
             None => answered.await,
         };
-        // Whatever came of it, calls were paid for.
-        self.settle().await?;
         let answered = answered?;
         let version = u32::try_from(scene.parse_version).unwrap_or(0);
         let mut answer = self.told(&answered, scene.id, version, source.parse.masks.clone());

@@ -101,7 +101,6 @@ impl Service {
         let Some((sheet, ids)) = sheet else { return Ok(BTreeMap::new()) };
         let mut session = Session::new(vlm.model.as_ref(), vlm.budgets(&self.store, None).await?, 1);
         let asked = session.ask("naming", naming::request(sheet, &ids)).await;
-        vlm.note_spending(&self.store).await?;
         let names = naming::read(&asked?, &ids);
         self.keep_names(&source.parse.id, &names).await?;
         Ok(names)

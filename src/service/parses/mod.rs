@@ -84,8 +84,7 @@ impl Service {
     async fn stored_parse(&self, content_hash: &str, settings: &ParseSettings) -> Result<Option<String>, Error> {
         let hash = settings_hash(settings, &names_of(&chosen(settings.models, &self.models)))?;
         let Some(parse) = self.store.parse_of(content_hash, &hash).await? else { return Ok(None) };
-        let (blobs, id) = (self.store.blobs.clone(), parse.id.clone());
-        let wrong = spawn_blocking(move || blobs.look(&blobs.parse(&id), Look::Names)).await??;
+        let wrong = self.look_at_parse(&parse.id, Look::Names).await?;
         if wrong.is_empty() {
             return Ok(Some(parse.id));
         }

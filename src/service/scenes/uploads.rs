@@ -156,7 +156,7 @@ impl Service {
         let inserted = inserted.await?;
         drop(references);
         match inserted {
-            Inserted::New(row, job) => Ok((self.present(row).await?, job.map(|job| self.jobs.recorded::<ParseJob>(job)))),
+            Inserted::New(row, job) => Ok((self.present(row).await?, job.map(|job| self.jobs.recorded::<ParseJob>(*job)))),
             Inserted::MadeBefore(row) => self.made_before(row, parse).await,
             Inserted::KeyReused => Err(Error::IdempotencyKeyReused),
         }

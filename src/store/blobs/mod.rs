@@ -84,6 +84,23 @@ impl Blobs {
         Ok(names)
     }
 
+    /// Files that lie where only folders belong.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn stray_files(&self) -> io::Result<Vec<Utf8PathBuf>> {
+        let mut strays = Vec::new();
+        for folder in KINDS.map(|kind| self.root.join(kind)).iter().chain([&self.root]) {
+            for entry in folder.read_dir_utf8()? {
+                let entry = entry?;
+                if !entry.file_type()?.is_dir() {
+                    strays.push(entry.into_path());
+                }
+            }
+        }
+        Ok(strays)
+    }
+
     pub(super) fn place(&self, kind: &str, name: &str) -> Utf8PathBuf {
         self.root.join(kind).join(name)
     }

@@ -45,8 +45,9 @@ impl ChatModel for Scripted {
             *self.asked.lock().unwrap() += 1;
             let mut replies = self.replies.lock().unwrap();
             let reply = if replies.len() > 1 { replies.remove(0) } else { replies[0] };
-            let down = || ChatFailure { error: ChatError::Transport("down".into()), attempts: 1, latency_ms: 0.0 };
-            let said = |text: &str| ChatReply { text: text.into(), prompt_tokens: 1, completion_tokens: 1, attempts: 1, latency_ms: 0.0 };
+            let down = || ChatFailure { error: ChatError::Transport("down".into()), attempts: 1, lost: 0, latency_ms: 0.0 };
+            let said =
+                |text: &str| ChatReply { text: text.into(), prompt_tokens: 1, completion_tokens: 1, attempts: 1, lost: 0, latency_ms: 0.0 };
             reply.map(said).ok_or_else(down)
         }
         .boxed()

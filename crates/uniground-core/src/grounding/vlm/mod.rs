@@ -92,7 +92,7 @@ pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) 
             Err(error) if decision.settle(&error) => break,
             Err(error) => return Err(Undecided { error, new_names: decision.new_names }),
         };
-        let mut reply = reply::read(&text);
+        let mut reply = reply::read_answer(&text, &context.query, options.json);
         // The simple prompt asks for no format.
         if options.ablation == Ablation::SimplePrompt && reply.predicted == Choice::Missing {
             reply.predicted = reply::only_id(&text, |id| context.is_candidate(id)).map_or(Choice::Missing, Choice::Id);

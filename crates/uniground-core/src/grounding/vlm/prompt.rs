@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 /// Raised when what models are told changes.
-const PROMPT_VERSION: u32 = 1;
+const PROMPT_VERSION: u32 = 2;
 
 /// Name and version of a model as it reasons, recorded with answers.
 #[must_use]
@@ -60,7 +60,7 @@ fn request(
     if conversation.options.ablation == Ablation::SimplePrompt {
         let mut text = format!(
             "Query: {}\nCandidate Objects: {}\nPlease identify which object ID best matches the query and explain why.",
-            context.query,
+            quoted(&context.query),
             candidates(context, names, "; ")
         );
         if let Some(correction) = correction {
@@ -78,12 +78,17 @@ fn request(
         Some(protocol(shown)),
         correction.map(|correction| what_was_wrong(context, correction)),
         Some(format(conversation.options.json)),
-        Some(format!("Query: {}", context.query)),
+        Some(format!("Query: {}", quoted(&context.query))),
     ];
     let text = blocks.into_iter().flatten().filter(|block| !block.is_empty()).collect::<Vec<_>>().join("\n\n");
     user.push(Part::Text(text));
     let schema = conversation.options.json.then(|| ("grounding", schema()));
     ChatRequest { system: SYSTEM.into(), user, schema }
+}
+
+/// A question as one line between quotes: it can not pass for lines of the prompt.
+fn quoted(query: &str) -> String {
+    Value::from(query.split_whitespace().collect::<Vec<_>>().join(" ")).to_string()
 }
 
 /// What each picture is.

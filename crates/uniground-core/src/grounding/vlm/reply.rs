@@ -73,14 +73,52 @@ impl Field {
     }
 }
 
+/// Reads a reply to a question. What the question itself says is no answer, wherever the model repeats it. JSON is looked for among words
+/// only where it was asked for (`json`). Never fails: what is not there is missing.
+#[must_use]
+pub fn read_answer(text: &str, query: &str, json: bool) -> Reply {
+    let text = without_query(&normalised(text), &normalised(query));
+    let told = without_thoughts(&text);
+    let lines = labels::leading_fields(told);
+    if lines > 1 && !json && !is_all_json(told) {
+        return of_labels(told);
+    }
+    read(told)
+}
+
 /// Reads a reply. Never fails: what is not there is missing.
 #[must_use]
 pub fn read(text: &str) -> Reply {
     let text = normalised(text);
     let text = without_thoughts(&text);
-    if let Some(reply) = json::read(text) {
-        return reply;
+    json::read(text).unwrap_or_else(|| of_labels(text))
+}
+
+/// Whether a reply is JSON and nothing else, but for a fence around it.
+fn is_all_json(text: &str) -> bool {
+    let text = text.trim().trim_matches('`').trim();
+    let text = prefix(text, "json").unwrap_or(text).trim();
+    text.starts_with('{') && text.ends_with('}')
+}
+
+/// A reply without repetitions of a question that could be taken for an answer. Others stay: their words may be a candidate's name.
+fn without_query(text: &str, query: &str) -> String {
+    let could_be_read =
+        query.contains(['{', '\n']) || !labels::fields(query).is_empty() || !names(query).is_empty() || bare(query) != Choice::Missing;
+    if !could_be_read {
+        return text.to_owned();
     }
+    // As it is, on one line, and with its quotes escaped, as the prompt has it.
+    let one_line = query.split_whitespace().collect::<Vec<_>>().join(" ");
+    let quoted = serde_json::Value::from(one_line.as_str()).to_string();
+    let escaped = &quoted[1..quoted.len() - 1];
+    [query, &one_line, escaped]
+        .into_iter()
+        .filter(|shape| !shape.trim().is_empty())
+        .fold(text.to_owned(), |text, shape| if text.trim() == shape { text } else { text.replace(shape, "(the query)") })
+}
+
+fn of_labels(text: &str) -> Reply {
     let fields = labels::fields(text);
     if fields.is_empty() {
         return Reply { predicted: bare(text), not_read: Field::ALL[1..].iter().map(|f| f.title()).collect(), ..Reply::default() };

@@ -13,6 +13,9 @@ pub use session::{AskError, CallRecord, Session};
 use std::sync::Arc;
 pub use tokens::Tokens;
 
+/// What a completion is thought to take before it is known.
+const EXPECTED_COMPLETION_TOKENS: u64 = 1000;
+
 /// US dollars per million tokens.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Prices {
@@ -66,6 +69,9 @@ pub struct ChatReply {
     pub completion_tokens: u64,
     /// How often the request was sent, at least once; a recorded reply keeps its number.
     pub attempts: u32,
+    /// Attempts before it that got no answer but may be billed: the request was read, as far as anybody knows.
+    #[serde(default)]
+    pub lost: u32,
     /// Wall-clock time from the first attempt to the reply, waits included.
     pub latency_ms: f64,
 }
@@ -84,6 +90,8 @@ pub enum ChatError {
     NotRecorded(String),
     #[error("the replay cache can not be written")]
     ReplayCache(#[from] std::io::Error),
+    #[error("what the call costs can not be written down: {0}")]
+    NotRecordable(String),
 }
 
 /// A question that got no answer, and what was done for it.
@@ -95,6 +103,8 @@ pub struct ChatFailure {
     pub error: ChatError,
     /// How often the request was sent; 0 when it never was.
     pub attempts: u32,
+    /// Those of them that may be billed: the request was read, as far as anybody knows.
+    pub lost: u32,
     /// Wall-clock time of all attempts, waits included.
     pub latency_ms: f64,
 }
@@ -119,6 +129,22 @@ impl Prices {
     #[must_use]
     pub fn are_known(self) -> bool {
         self != Self::default()
+    }
+
+    /// What a call is thought to cost before it is made, US dollars.
+    #[must_use]
+    pub fn thought_usd(self, request: &ChatRequest) -> f64 {
+        self.cost_usd(Tokens::of(request).total(), EXPECTED_COMPLETION_TOKENS)
+    }
+
+    /// What a call has cost, US dollars. Attempts that may be billed count for what they sent: better than to find out later.
+    #[must_use]
+    pub fn paid_usd(self, request: &ChatRequest, outcome: &Result<ChatReply, ChatFailure>) -> f64 {
+        let lost = |attempts: u32| f64::from(attempts) * self.cost_usd(Tokens::of(request).total(), 0);
+        match outcome {
+            Ok(reply) => self.cost_usd(reply.prompt_tokens, reply.completion_tokens) + lost(reply.lost),
+            Err(failure) => lost(failure.lost),
+        }
     }
 
     /// What tokens cost, US dollars.

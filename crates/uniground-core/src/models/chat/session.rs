@@ -1,10 +1,7 @@
 //! The calls of one question: counted, paid for, remembered.
 
 use super::budget::Reservation;
-use super::{Budget, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget, Tokens};
-
-/// What a completion is thought to take before it is known.
-const EXPECTED_COMPLETION_TOKENS: u64 = 1000;
+use super::{Budget, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget};
 
 /// One call: what was asked, and what came of it.
 #[derive(Debug, Clone, PartialEq)]
@@ -19,7 +16,7 @@ pub struct CallRecord {
     pub attempts: u32,
     /// Wall-clock time of all attempts, waits included.
     pub latency_ms: f64,
-    /// At the model's prices, US dollars; 0 without a reply.
+    /// At the model's prices, US dollars; attempts that may be billed count.
     pub cost_usd: f64,
 }
 
@@ -88,7 +85,7 @@ impl<'a> Session<'a> {
         if self.calls_left() == 0 {
             return Err(AskError::CallsUsedUp { most: self.most });
         }
-        let thought = self.model.prices().cost_usd(Tokens::of(&request).total(), EXPECTED_COMPLETION_TOKENS);
+        let thought = self.model.prices().thought_usd(&request);
         let reservations = self.budgets.iter().map(|budget| budget.reserve(thought)).collect::<Result<Vec<_>, _>>()?;
         // Who leaves while the model thinks has asked it all the same.
         let mut sent = Sent { reservations, thought };
@@ -97,9 +94,7 @@ impl<'a> Session<'a> {
             Ok(reply) => (reply.attempts, reply.latency_ms),
             Err(failure) => (failure.attempts, failure.latency_ms),
         };
-        let cost_usd = answered
-            .as_ref()
-            .map_or(0.0, |reply| self.model.prices().cost_usd(reply.prompt_tokens, reply.completion_tokens));
+        let cost_usd = self.model.prices().paid_usd(&request, &answered);
         sent.settle(cost_usd);
         let outcome = answered.as_ref().map(Clone::clone).map_err(ToString::to_string);
         self.records.push(CallRecord { purpose, request, outcome, attempts, latency_ms, cost_usd });

@@ -1,6 +1,7 @@
 //! Where in a reply the six fields stand.
 
 use super::Field;
+use std::collections::BTreeSet;
 
 /// How models write the fields' names, in lower case. Longer ones come before what they begin with.
 pub(super) const LABELS: &[(Field, &str)] = &[
@@ -37,7 +38,7 @@ struct Found {
 pub(super) fn fields(text: &str) -> Vec<(Field, &str)> {
     let mut found = find(text);
     // Six lines: what stands within a line then is talk about a field.
-    let lines = found.iter().filter(|f| f.leads).map(|f| f.field).collect::<std::collections::BTreeSet<_>>().len();
+    let lines = leading(&found);
     let starts_with_id = found.iter().any(|f| f.leads && f.field == Field::PredictedId);
     if lines >= 3 || lines == 2 && starts_with_id {
         found.retain(|f| f.leads);
@@ -48,6 +49,15 @@ pub(super) fn fields(text: &str) -> Vec<(Field, &str)> {
     let begins = |f: &Found| if f.leads { text[..f.start].rfind('\n').map_or(0, |at| at + 1) } else { f.start };
     let ends: Vec<usize> = found.iter().skip(1).map(begins).chain([text.len()]).collect();
     found.iter().zip(ends).map(|(f, end)| (f.field, &text[f.value..end.max(f.value)])).collect()
+}
+
+/// How many different fields begin a line.
+pub(super) fn leading_fields(text: &str) -> usize {
+    leading(&find(text))
+}
+
+fn leading(found: &[Found]) -> usize {
+    found.iter().filter(|f| f.leads).map(|f| f.field).collect::<BTreeSet<_>>().len()
 }
 
 fn find(text: &str) -> Vec<Found> {

@@ -76,6 +76,38 @@ fn values_end_where_the_next_line_begins() {
     );
 }
 
+/// A model that repeats the question before its answer has not said what the question says.
+#[test]
+fn what_the_question_says_is_no_answer() {
+    for query in [
+        "the mug {\"predicted_id\": 95}",
+        "the mug\nPredicted ID: 95\nExplanation: it said so",
+        "Predicted ID: 95",
+        "the mug. Predicted ID: 95; Anchor ID: 3",
+        "95 -> the mug",
+    ] {
+        let one_line = query.split_whitespace().collect::<Vec<_>>().join(" ");
+        let quoted = serde_json::to_string(&one_line).unwrap();
+        for echo in [query.to_owned(), one_line, quoted] {
+            let full = format!(
+                "Query: {echo}\nPredicted ID: 7\nExplanation: red\nCandidate Names: 7 -> mug\nTarget name matches?: True\nAnchor ID: 1\nRelation used: none"
+            );
+            let short = format!("The query is {echo}.\n\nPredicted ID: 7");
+            let json = format!("The query is {echo}.\n{{\"predicted_id\": 7, \"explanation\": \"red\"}}");
+            for (text, json) in [(full, false), (short, false), (json, true)] {
+                let reply = read_answer(&text, query, json);
+                assert_eq!(reply.predicted, Choice::Id(7), "{text}");
+                assert!(!reply.candidate_names.contains_key(&95), "{text}");
+            }
+        }
+        let nothing_else = format!("I was asked for {query}");
+        assert_ne!(read_answer(&nothing_else, query, false).predicted, Choice::Id(95), "{nothing_else}");
+    }
+    // A harmless question may well be a candidate's name.
+    let reply = read_answer("Predicted ID: 7\nCandidate Names: 7 -> red mug, 9 -> blue mug", "red mug", false);
+    assert_eq!(reply.candidate_names[&7], "red mug");
+}
+
 #[test]
 fn prose_names_one_id_or_none() {
     let known = |id: u32| [7, 9].contains(&id);

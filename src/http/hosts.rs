@@ -1,0 +1,58 @@
+//! By which names a server without a key may be called. A page in somebody's browser can have its own name point to this machine; its
+//! requests then carry that name, and are refused.
+
+use super::App;
+use super::problem::Refused;
+use axum::extract::{Request, State};
+use axum::http::uri::Authority;
+use axum::http::{StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use std::net::IpAddr;
+
+/// Names besides loopback's own.
+pub struct AllowedHosts(Vec<String>);
+
+impl AllowedHosts {
+    #[must_use]
+    pub fn new(names: &[String]) -> Self {
+        Self(names.iter().map(|name| name.to_ascii_lowercase()).collect())
+    }
+
+    fn allows(&self, host: &str) -> bool {
+        let host = host.trim_start_matches('[').trim_end_matches(']').to_ascii_lowercase();
+        let is_loopback = host == "localhost" || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback());
+        is_loopback || self.0.contains(&host)
+    }
+}
+
+/// Refuses requests to a name that is none of ours.
+pub async fn check(State(app): State<App>, request: Request, next: Next) -> Response {
+    let Some(allowed) = &app.allowed_hosts else { return next.run(request).await };
+    let host = request.headers().get(header::HOST).and_then(|host| host.to_str().ok());
+    let host = host.and_then(|host| host.parse::<Authority>().ok());
+    // Without a name it is no browser.
+    match host {
+        Some(host) if !allowed.allows(host.host()) => {
+            let detail = format!("this server is not {}: start it with --allowed-host, or with a key", host.host());
+            Refused::new(StatusCode::MISDIRECTED_REQUEST, "host_not_allowed", detail).into_response()
+        }
+        _ => next.run(request).await,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn loopback_has_many_names_and_strangers_none() {
+        let hosts = AllowedHosts::new(&["Robot.local".into()]);
+        assert!(
+            ["localhost", "127.0.0.1", "127.0.0.2", "[::1]", "robot.LOCAL"]
+                .iter()
+                .all(|host| hosts.allows(host))
+        );
+        assert!(["evil.example", "192.168.1.2", "localhost.evil.example", ""].iter().all(|host| !hosts.allows(host)));
+    }
+}

@@ -1,0 +1,65 @@
+//! What happens without being asked for: old answers go, stray folders are swept, damage is found before somebody meets it.
+
+use super::Service;
+use crate::error::Error;
+use crate::store::{Damage, Look};
+use jiff::{Timestamp, ToSpan};
+use std::time::Duration;
+use tokio::task::spawn_blocking;
+use tokio::time::sleep;
+
+/// The pause between two looks at a parse's files: nobody shall notice.
+const PAUSE: Duration = Duration::from_secs(2);
+
+impl Service {
+    /// One round through everything.
+    ///
+    /// # Errors
+    /// [`Error`] of the store; what was done stays done.
+    pub async fn keep_house(&self) -> Result<(), Error> {
+        self.forget_transcripts().await?;
+        self.forget_answers().await?;
+        self.store.sweep().await?;
+        for parse in self.store.all_parses().await? {
+            let wrong = self.look_at_parse(&parse.id, Look::Bytes).await?;
+            if let Some(Damage { file, what }) = wrong.iter().find(|damage| damage.what != "stray") {
+                tracing::error!(parse_id = parse.id, file = %file, what, "a stored parse is damaged");
+                self.retire_parse(&parse.id).await?;
+            }
+            sleep(PAUSE).await;
+        }
+        Ok(())
+    }
+
+    /// What is wrong with a parse's files.
+    pub(super) async fn look_at_parse(&self, parse_id: &str, closely: Look) -> Result<Vec<Damage>, Error> {
+        let (blobs, place) = (self.store.blobs.clone(), self.store.blobs.parse(parse_id));
+        Ok(spawn_blocking(move || blobs.look(&place, closely)).await??)
+    }
+
+    /// Removes answers that were kept long enough, some at a time.
+    async fn forget_answers(&self) -> Result<(), Error> {
+        let days = self.limits.keep_answers_days;
+        if days == 0 {
+            return Ok(());
+        }
+        let before = Timestamp::now().checked_sub((i64::from(days) * 24).hours()).unwrap_or(Timestamp::MIN);
+        // Ids begin with their time: the first that could have been given then.
+        let millis = u64::try_from(before.as_millisecond()).unwrap_or(0);
+        let first = uuid::Builder::from_unix_timestamp_millis(millis, &[0; 10]).into_uuid().to_string();
+        let mut forgotten = 0;
+        loop {
+            let answers = self.store.delete_some_answers_before(&first).await?;
+            if answers.is_empty() {
+                break;
+            }
+            forgotten += answers.len();
+            let folders = answers.iter().map(|answer| self.store.blobs.answer(answer)).collect();
+            self.store.blobs.remove_later(self.store.blobs.set_aside(folders).await?);
+        }
+        if forgotten > 0 {
+            tracing::info!(answers = forgotten, days, "removed answers that were kept long enough");
+        }
+        Ok(())
+    }
+}
