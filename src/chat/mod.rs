@@ -138,11 +138,13 @@ const MAX_REDIRECTS: usize = 3;
 const MOST_PROMPT_TIMES: u64 = 20;
 /// Models think before they speak, and are paid for that.
 const MOST_COMPLETION_TIMES: u64 = 1000;
+/// What is said around the shortest question.
+const FEW_TOKENS: u64 = 1000;
 
 /// A server's count of tokens, where it can be one. Servers that do not count are not free: then it is what was reckoned.
 fn believed(counted: Option<u64>, reckoned: u64, most_times: u64) -> u64 {
     let least = reckoned / most_times;
-    let most = reckoned.max(MOST_COMPLETION_TIMES).saturating_mul(most_times);
+    let most = reckoned.max(FEW_TOKENS).saturating_mul(most_times);
     match counted {
         Some(counted) if counted > 0 && (least..=most).contains(&counted) => counted,
         Some(counted) => {

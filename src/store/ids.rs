@@ -14,6 +14,8 @@ impl Ids {
         let context = ContextV7::new();
         let last = newest.and_then(|id| id.parse::<Uuid>().ok()).and_then(|id| id.get_timestamp());
         if let Some((seconds, nanos)) = last.map(|last| last.to_unix()) {
+            // The millisecond after: which of its own ids came last is not known here.
+            let (seconds, nanos) = if nanos < 999_000_000 { (seconds, nanos + 1_000_000) } else { (seconds + 1, 0) };
             let _ = uuid::Timestamp::from_unix(&context, seconds, nanos);
         }
         Self(Arc::new(Mutex::new(context)))

@@ -107,7 +107,7 @@ pub struct Store {
 }
 
 /// How long SQLite waits for a lock that somebody else holds.
-const BUSY_TIMEOUT: Duration = Duration::from_secs(2);
+const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
 const READERS: u32 = 4;
 
 impl Store {

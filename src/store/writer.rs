@@ -9,7 +9,7 @@ use std::ops::{Deref, DerefMut};
 use std::time::Duration;
 
 /// How long a write waits for its turn. SQLite's own wait for a lock is shorter.
-const TURN: Duration = Duration::from_secs(5);
+const TURN: Duration = Duration::from_secs(2);
 
 /// Gives out the writing connection, to one writer at a time.
 #[derive(Clone)]

@@ -169,6 +169,14 @@ fn refused() -> Vec<Case> {
             "archive_entry_unsafe",
             "../4.txt",
         ),
+        (
+            "a cloud that is none",
+            ZIP,
+            Scan::cloud_only().with("cloud.ply", "hello").zip(),
+            422,
+            "scene_file_malformed",
+            "cloud.ply",
+        ),
         ("no frames and no points", ZIP, empty_manifest().zip(), 422, "scene_empty", "no frames and no points"),
     ]
 }
@@ -221,7 +229,6 @@ async fn what_shows_only_while_parsing_fails_the_job_by_name() {
         ),
         ("an empty cloud", Scan::cloud_only().with("cloud.ply", ply_header(0)), "cloud_empty", "cloud.ply"),
         ("a cloud cut short", Scan::cloud_only().with("cloud.ply", ply_header(5)), "scene_file_malformed", "cloud.ply"),
-        ("a cloud that is none", Scan::cloud_only().with("cloud.ply", "hello"), "scene_file_malformed", "cloud.ply"),
         (
             "an empty cloud beside frames",
             Scan::frames_only().with("cloud.ply", ply_header(0)),

@@ -58,6 +58,43 @@ async fn what_may_pass_is_tried_again_what_will_not_is_told() {
     assert!(error.to_string().contains("bad key: <key>"), "{error}");
 }
 
+/// Prompts and pictures go where the operator said and nowhere else.
+#[tokio::test]
+async fn a_redirect_to_another_host_is_not_followed() {
+    let (script, elsewhere) = (Script::default(), Script::default());
+    let other = elsewhere.serve(vec![says("fine")]).await;
+    let url = script.serve(vec![Scripted::Redirect(format!("{other}/chat/completions"))]).await;
+    let error = client(url.clone(), ReplayCache::Off).ask(&question("a")).await.unwrap_err();
+    assert!(matches!(&error.error, ChatError::Refused { status: 308, .. }), "{error:?}");
+    assert_eq!((script.calls(), elsewhere.calls()), (1, 0));
+    // At the same place it may have moved.
+    script.next(vec![Scripted::Redirect(format!("{url}/chat/completions")), says("fine")]);
+    assert_eq!(client(url, ReplayCache::Off).ask(&question("a")).await.unwrap().text, "fine");
+}
+
+#[tokio::test]
+async fn a_count_of_tokens_that_can_not_be_is_not_believed() {
+    let script = Script::default();
+    let counted = |prompt: u64, completion: u64| {
+        let usage = json!({"prompt_tokens": prompt, "completion_tokens": completion});
+        Scripted::Json(200, json!({"choices": [{"message": {"content": "fine"}}], "usage": usage}))
+    };
+    let url = script.serve(vec![counted(0, 0), counted(1_000_000_000_000_000, 1_000_000_000_000_000)]).await;
+    let client = client(url, ReplayCache::Off);
+    for _ in 0..2 {
+        let reply = client.ask(&question("a")).await.unwrap();
+        assert!((1..1000).contains(&reply.prompt_tokens) && (1..1000).contains(&reply.completion_tokens), "{reply:?}");
+    }
+}
+
+#[tokio::test]
+async fn a_server_that_wants_a_day_is_not_waited_for() {
+    let script = Script::default();
+    let url = script.serve(vec![Scripted::After(429, "86400")]).await;
+    let failure = client(url, ReplayCache::Off).ask(&question("a")).await.unwrap_err();
+    assert_eq!((failure.attempts, failure.lost), (1, 0));
+}
+
 #[tokio::test]
 async fn a_server_that_knows_no_schemas_is_asked_without() {
     let script = Script::default();

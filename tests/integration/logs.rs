@@ -1,11 +1,13 @@
 //! The log of the binary, at the level that is on by default: what went wrong is told once, with the ids to look it up by.
 
 use crate::archives::Scan;
-use crate::server::{Process, finished};
+use crate::script::{Script, fails};
+use crate::server::{Process, ask, command, finished};
 use reqwest::Method;
 use serde_json::Value;
 use std::fs;
 use std::time::Duration;
+use uniground_client::Client;
 
 fn lines(log: &camino::Utf8Path) -> Vec<Value> {
     fs::read_to_string(log)
@@ -40,16 +42,17 @@ async fn an_error_is_told_once_with_route_request_and_cause() {
         .send()
         .await
         .unwrap();
-    assert_eq!(response.status(), 500);
+    assert_eq!(response.status(), 503);
     assert_eq!(process.client.request(Method::GET, "v1/scenes/none").send().await.unwrap().status(), 404);
     tokio::time::sleep(Duration::from_millis(200)).await;
     process.kill();
 
     let lines = lines(&log);
-    let about: Vec<&Value> = lines.iter().filter(|line| spans(line).iter().any(|span| span["id"] == "look-me-up")).collect();
+    let of_request = |line: &&Value| line["level"] == "ERROR" && spans(line).iter().any(|span| span["id"] == "look-me-up");
+    let about: Vec<&Value> = lines.iter().filter(of_request).collect();
     assert_eq!(about.len(), 1, "{about:#?}");
     let (line, request) = (about[0], &spans(about[0])[0]);
-    assert_eq!((line["level"].as_str(), line["fields"]["code"].as_str()), (Some("ERROR"), Some("storage_failed")));
+    assert_eq!((line["level"].as_str(), line["fields"]["code"].as_str()), (Some("ERROR"), Some("parse_damaged")));
     assert!(line["fields"]["cause"].as_str().unwrap().contains("No such file"), "{line}");
     assert_eq!(
         (request["name"].as_str(), request["route"].as_str()),
@@ -63,4 +66,33 @@ async fn an_error_is_told_once_with_route_request_and_cause() {
         !lines.iter().any(|line| line["level"] == "ERROR" && line != about[0]),
         "a caller's mistake is no error of the server's"
     );
+}
+
+/// Keys that callers show, that a model wants and that stand in an address, at the loudest level there is.
+#[tokio::test]
+async fn secrets_never_reach_the_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = camino::Utf8Path::from_path(folder.path()).unwrap();
+    let log = data.join("log");
+    let script = Script::default();
+    let url = script.serve(vec![fails(500, "planted-model-key was wrong")]).await;
+    let address = url.replace("http://", "http://user:planted-password@") + "?api-key=planted-in-address";
+    let mut command = command(&data.join("data"), "127.0.0.1:0");
+    command
+        .env("UNIGROUND_API_KEY", "planted-service-key")
+        .env("UNIGROUND_VLM_API_KEY", "planted-model-key")
+        .env("RUST_LOG", "trace")
+        .args(["--vlm-url", &address, "--vlm-model", "scripted", "--vlm-attempts", "1"])
+        .stderr(fs::File::create(&log).unwrap());
+    let mut process = Process::started(&mut command);
+    let own = process.client.request(Method::GET, "healthz").build().unwrap().url().origin().ascii_serialization();
+    process.client = Client::new(&own, Some("planted-service-key".into())).unwrap();
+    let created = process.client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap();
+    finished(&process.client, &created.job.unwrap().id).await;
+    process.client.ground(&created.scene.id, &ask("the red sofa")).await.unwrap();
+    process.kill();
+    let log = fs::read_to_string(&log).unwrap();
+    assert!(log.lines().count() > 100 && log.contains("<secret>"), "{}", log.lines().count());
+    let told: Vec<&str> = log.lines().filter(|line| line.contains("planted")).take(3).collect();
+    assert_eq!(told, [""; 0]);
 }

@@ -24,6 +24,8 @@ pub enum Scripted {
     /// With a header `Retry-After`.
     After(u16, &'static str),
     Text(String),
+    /// To another address, method and body kept.
+    Redirect(String),
     /// A body that goes on for ever, and fast.
     Flood,
     /// A body of which the next byte never comes.
@@ -79,6 +81,7 @@ async fn complete(State(script): State<Script>, headers: HeaderMap, Json(body): 
         Scripted::Json(status, answer) => (StatusCode::from_u16(status).unwrap(), Json(answer)).into_response(),
         Scripted::After(status, wait) => (StatusCode::from_u16(status).unwrap(), [("retry-after", wait)], "later").into_response(),
         Scripted::Text(text) => text.into_response(),
+        Scripted::Redirect(address) => (StatusCode::PERMANENT_REDIRECT, [("location", address)]).into_response(),
         Scripted::Flood => {
             let chunk = vec![b' '; 1 << 16];
             Body::from_stream(stream::repeat_with(move || Ok::<_, Infallible>(chunk.clone()))).into_response()

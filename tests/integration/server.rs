@@ -129,7 +129,7 @@ impl Process {
         Self::started(command.args(["--log-format", "json"]).env_remove("RUST_LOG").stderr(File::create(log).unwrap()))
     }
 
-    fn started(command: &mut Command) -> Self {
+    pub fn started(command: &mut Command) -> Self {
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         let mut line = String::new();
         BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();

@@ -1,9 +1,11 @@
 //! What a model may cost, and what happens when that is spent.
 
 use super::{QUERY, builtin, by, config, corrections, six_lines, start};
-use crate::script::{Script, Scripted, says};
+use crate::script::{Script, Scripted, fails, says};
 use crate::server::{TestServer, ask, problem};
 use serde_json::json;
+use sqlx::Connection;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
@@ -72,5 +74,50 @@ async fn budgets_need_prices() {
     assert_eq!((error.status, error.errors[0].pointer.as_str(), script.calls()), (422, "/max_cost_usd", 0));
     let unasked = GroundRequest { reasoner: ReasonerChoice::Builtin, ..limited };
     assert!(server.client.ground(&scene, &unasked).await.is_ok());
+    server.stop().await;
+}
+
+/// Attempts that got no answer may be billed all the same, and a server that is killed in mid-call does not forget what was under way.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_may_be_billed_counts_and_outlives_the_server() {
+    let script = Script::default();
+    let url = script.serve(vec![fails(503, "overloaded")]).await;
+    let dear =
+        VlmConfig { vlm_prompt_usd: 1000.0, vlm_completion_usd: 5000.0, vlm_daily_usd: Some(100.0), vlm_attempts: 2, ..config(&url) };
+    let (server, scene) = start(dear.clone()).await;
+    let spent = async |server: &TestServer| {
+        let options = SqliteConnectOptions::new().filename(server.data().join("uniground.sqlite"));
+        let mut database = SqliteConnection::connect_with(&options).await.unwrap();
+        let usd: Option<f64> = sqlx::query_scalar("SELECT sum(usd) FROM spending").fetch_one(&mut database).await.unwrap();
+        let open: i64 = sqlx::query_scalar("SELECT count(*) FROM reservations").fetch_one(&mut database).await.unwrap();
+        (usd.unwrap_or(0.0), open)
+    };
+    assert_eq!(problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await).status, 502);
+    let (usd, open) = spent(&server).await;
+    assert!(usd > 1.0 && open == 0 && script.calls() == 2, "two attempts behind an error of the server's own: {usd}");
+    // Refused at the door, nothing was bought.
+    script.next(vec![fails(401, "who are you")]);
+    assert_eq!(problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await).status, 502);
+    assert_eq!(spent(&server).await, (usd, 0));
+
+    // A caller that leaves while the model thinks has asked it all the same.
+    script.next(vec![Scripted::Stall]);
+    let leaving = GroundRequest { timeout_s: Some(0.3), ..by(ReasonerChoice::Vlm) };
+    assert_eq!(problem(server.client.ground(&scene, &leaving).await).code, "question_timed_out");
+    tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+    assert!(spent(&server).await.0 > usd + 0.5);
+
+    let data = server.give_back().await;
+    let options = SqliteConnectOptions::new().filename(data.path().join("uniground.sqlite"));
+    let mut database = SqliteConnection::connect_with(&options).await.unwrap();
+    // What a server leaves that is killed in the middle of a dear call.
+    sqlx::query("INSERT INTO reservations (id, day, usd) VALUES ('killed', date('now'), 99.0)")
+        .execute(&mut database)
+        .await
+        .unwrap();
+    database.close().await.unwrap();
+    let server = TestServer::start_on(data, LimitsConfig::default(), dear, ModelsConfig::default()).await;
+    assert_eq!(problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await).code, "budget_spent");
+    assert!(spent(&server).await.0 > 99.0);
     server.stop().await;
 }

@@ -1,0 +1,153 @@
+//! Crowds: connections that send nothing, uploads that stall, streams without number; and a scene with more answers than anybody reads.
+
+use crate::archives::Scan;
+use crate::hostile::ZIP;
+use crate::server::{ask, parsed};
+use crate::{Form, Report, Target, since};
+use sqlx::Connection;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use std::time::{Duration, Instant};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::TcpStream;
+use uniground_client::Client;
+
+/// p99 of questions one after another, milliseconds; with the longest wait.
+async fn questions(client: &Client, scene: &str, count: usize) -> (f64, f64) {
+    let mut times = Vec::new();
+    for _ in 0..count {
+        let start = Instant::now();
+        client.ground(scene, &ask("the red sofa")).await.unwrap();
+        times.push(start.elapsed().as_secs_f64() * 1e3);
+    }
+    times.sort_by(f64::total_cmp);
+    (times[count * 99 / 100], times[count - 1])
+}
+
+async fn say(address: &str, text: &str) -> Option<TcpStream> {
+    let mut stream = TcpStream::connect(address).await.ok()?;
+    stream.write_all(text.as_bytes()).await.ok()?;
+    Some(stream)
+}
+
+/// The first line of what comes back within a moment.
+async fn told(stream: &mut TcpStream) -> String {
+    let mut bytes = [0; 64];
+    let read = tokio::time::timeout(Duration::from_millis(300), stream.read(&mut bytes)).await;
+    let text = String::from_utf8_lossy(&bytes[..read.map_or(0, |read| read.unwrap_or(0))]).into_owned();
+    text.lines().next().unwrap_or_default().to_owned()
+}
+
+pub async fn run(form: Form, report: &mut Report) {
+    let target = Target::start();
+    let client = &target.process.client;
+    let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let job = scene.job_id.clone().unwrap();
+    let address = client.request(reqwest::Method::GET, "healthz").build().unwrap().url().authority().to_owned();
+    let count = form.of(300, 1000);
+    questions(client, &scene.id, 200).await;
+    let (calm, _) = questions(client, &scene.id, count).await;
+    report.row("questions, calm", &format!("p99 {calm:.1} ms"), 0.0, Some(target.peak_mb()), "", true);
+    // Twice the calm value; below this many milliseconds the machine's own noise decides.
+    let most = (2.0 * calm).max(25.0);
+
+    let half_headers = form.of(1100, 3000);
+    let mut crowd = Vec::new();
+    for _ in 0..half_headers {
+        crowd.extend(say(&address, "GET /healthz HTTP/1.1\r\nhost: 127.0.0.1\r\nx-slow: ").await);
+    }
+    let fresh = Client::new(&format!("http://{address}"), None).unwrap();
+    let (p99, longest) = questions(&fresh, &scene.id, count).await;
+    report.row(
+        &format!("5 {half_headers} half-sent headers"),
+        &format!("p99 {p99:.1}, longest {longest:.0} ms"),
+        0.0,
+        Some(target.peak_mb()),
+        "",
+        p99 < most,
+    );
+    drop(crowd);
+
+    let stalled = form.of(300, 1000);
+    let mut crowd = Vec::new();
+    for _ in 0..stalled {
+        let head = "POST /v1/scenes HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/zip\r\ncontent-length: 1000000\r\n\r\nPK";
+        crowd.extend(say(&address, head).await);
+    }
+    let fresh = Client::new(&format!("http://{address}"), None).unwrap();
+    let (p99, longest) = questions(&fresh, &scene.id, count).await;
+    let ready = fresh.bytes("readyz").await.is_ok();
+    let last = told(crowd.last_mut().unwrap()).await;
+    let held = p99 < most && ready && last.contains("429");
+    report.row(
+        &format!("5 {stalled} stalled uploads"),
+        &format!("p99 {p99:.1}, longest {longest:.0} ms"),
+        0.0,
+        Some(target.peak_mb()),
+        &last,
+        held,
+    );
+    drop(crowd);
+
+    let streams = form.of(600, 2000);
+    // A job that is not over keeps its streams open: one that waits behind a long queue.
+    let mut waiting = None;
+    for i in 0..12 {
+        let archive = Scan::neutral().with("note.txt", format!("{i}")).zip();
+        waiting = client.create_scene(None, ZIP, archive).await.unwrap().job;
+    }
+    let job = waiting.map_or(job, |job| job.id);
+    let mut crowd = Vec::new();
+    for _ in 0..streams {
+        crowd.extend(say(&address, &format!("GET /v1/jobs/{job}/events HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n")).await);
+    }
+    let last = told(crowd.last_mut().unwrap()).await;
+    let fresh = Client::new(&format!("http://{address}"), None).unwrap();
+    let (p99, longest) = questions(&fresh, &scene.id, count).await;
+    // Parses run meanwhile: they give way, and still take something.
+    report.row(
+        &format!("5 {streams} event streams, 12 parses"),
+        &format!("p99 {p99:.1}, longest {longest:.0} ms"),
+        0.0,
+        Some(target.peak_mb()),
+        &last,
+        p99 < most.max(100.0),
+    );
+    drop(crowd);
+    many_answers(form, report).await;
+}
+
+async fn many_answers(form: Form, report: &mut Report) {
+    let target = Target::start();
+    let client = target.process.client.clone();
+    let full = parsed(&client, ZIP, Scan::neutral().with("note.txt", "full").zip()).await;
+    let quiet = parsed(&client, ZIP, Scan::neutral().zip()).await;
+    let answer = client.ground(&full.id, &ask("the red sofa")).await.unwrap();
+    let count = form.of(10_000, 100_000);
+    let options = SqliteConnectOptions::new().filename(target.folder().join("uniground.sqlite"));
+    let mut other = SqliteConnection::connect_with(&options).await.unwrap();
+    let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
+               WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < ?2)
+               SELECT answers.id || '-' || i, scene_id, parse_id, body, created_at FROM answers, n WHERE answers.id = ?1";
+    sqlx::query(sql).bind(&answer.id).bind(count).execute(&mut other).await.unwrap();
+    other.close().await.unwrap();
+    let (calm, _) = questions(&client, &quiet.id, 200).await;
+    let start = Instant::now();
+    let deleting = tokio::spawn({
+        let (client, id) = (client.clone(), full.id.clone());
+        async move { client.delete_scene(&id).await.is_ok() }
+    });
+    let mut longest: f64 = 0.0;
+    while !deleting.is_finished() {
+        longest = longest.max(questions(&client, &quiet.id, 1).await.1);
+    }
+    let deleted = deleting.await.unwrap();
+    let answer = format!("calm p99 {calm:.1}, longest {longest:.0} ms");
+    report.row(
+        &format!("10 deleting a scene with {count} answers"),
+        &answer,
+        since(start),
+        None,
+        "",
+        deleted && longest < 1000.0,
+    );
+}

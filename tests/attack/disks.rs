@@ -1,0 +1,212 @@
+//! Disks and databases that are full, locked, lost or somebody else's.
+
+use crate::archives::Scan;
+use crate::hostile::ZIP;
+use crate::server::{Process, ask, command, finished, parsed, problem};
+use crate::{Form, Report, Target, since};
+use camino::Utf8Path;
+use sqlx::Connection;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use std::fs;
+use std::process::Command;
+use std::time::{Duration, Instant};
+use uniground_types::job::JobState;
+
+pub async fn run(_: Form, report: &mut Report) {
+    lost_database(report).await;
+    strangers_folder(report);
+    lost_files(report).await;
+    locked(report).await;
+    full(report).await;
+}
+
+fn bytes_below(folder: &Utf8Path) -> u64 {
+    let entries = folder.read_dir_utf8().unwrap().map(Result::unwrap);
+    entries
+        .map(|entry| if entry.file_type().unwrap().is_dir() { bytes_below(entry.path()) } else { entry.metadata().unwrap().len() })
+        .sum()
+}
+
+async fn lost_database(report: &mut Report) {
+    for (case, is_empty) in [("3 the database is gone", false), ("3 the database is empty", true)] {
+        let target = Target::start();
+        let scene = parsed(&target.process.client, ZIP, Scan::neutral().zip()).await;
+        let Target { data, process } = target;
+        process.terminate();
+        let folder = Utf8Path::from_path(data.path()).unwrap();
+        let before = bytes_below(&folder.join("blobs"));
+        for file in ["uniground.sqlite", "uniground.sqlite-wal", "uniground.sqlite-shm"] {
+            let _ = fs::remove_file(folder.join(file));
+        }
+        if is_empty {
+            fs::write(folder.join("uniground.sqlite"), "").unwrap();
+        }
+        let start = Instant::now();
+        let process = Process::start(folder);
+        let scenes = process.client.scenes(10, None).await.unwrap().scenes.len();
+        let after = bytes_below(&folder.join("blobs"));
+        // The same scan again finds its place, and is whole.
+        let again = parsed(&process.client, ZIP, Scan::neutral().zip()).await;
+        let held = before == after && scenes == 0 && again.content_hash == scene.content_hash;
+        report.row(
+            case,
+            &format!("{scenes} scenes, uploads go on"),
+            since(start),
+            None,
+            &format!("{before} -> {after} bytes"),
+            held,
+        );
+        process.kill();
+    }
+}
+
+fn strangers_folder(report: &mut Report) {
+    let data = tempfile::tempdir().unwrap();
+    let folder = Utf8Path::from_path(data.path()).unwrap();
+    fs::create_dir(folder.join("tmp")).unwrap();
+    fs::write(folder.join("tmp/thesis.txt"), "years").unwrap();
+    let start = Instant::now();
+    let output = command(folder, "127.0.0.1:0").output().unwrap();
+    let told = String::from_utf8_lossy(&output.stderr);
+    let held = !output.status.success() && told.contains("no data folder") && folder.join("tmp/thesis.txt").exists();
+    report.row("3 --data-dir over somebody's folder", "refused to start", since(start), None, "all of it", held);
+}
+
+async fn lost_files(report: &mut Report) {
+    let target = Target::start();
+    fs::write(target.folder().join("blobs/contents/note.txt"), "stray").unwrap();
+    let scene = parsed(&target.process.client, ZIP, Scan::neutral().zip()).await;
+    let target = target.again();
+    let client = &target.process.client;
+    let kept = client.scene(&scene.id).await.is_ok() && target.folder().join("blobs/contents/note.txt").exists();
+    report.row("3 a stray file in blobs/", "starts", 0.0, None, "all of it", kept);
+
+    let start = Instant::now();
+    let parse = target.folder().join("blobs/parses").read_dir_utf8().unwrap().next().unwrap().unwrap().into_path();
+    let cloud = parse.join("cloud.ply");
+    let mut bytes = fs::read(&cloud).unwrap();
+    *bytes.last_mut().unwrap() ^= 0xff;
+    fs::write(&cloud, bytes).unwrap();
+    let path = format!("v1/scenes/{}/cloud.ply", scene.id);
+    let told = problem(client.bytes(&path).await);
+    let job = client.scene(&scene.id).await.unwrap().job_id.unwrap();
+    let healed = finished(client, &job).await.state == JobState::Succeeded && client.bytes(&path).await.is_ok();
+    report.row(
+        "11 a damaged cloud",
+        &format!("{} {}", told.status, told.code),
+        since(start),
+        None,
+        "made anew",
+        told.code == "parse_damaged" && healed,
+    );
+
+    let start = Instant::now();
+    for folder in ["blobs/contents", "blobs/parses", "blobs/checkpoints"] {
+        for entry in target.folder().join(folder).read_dir_utf8().unwrap().map(Result::unwrap) {
+            if entry.file_type().unwrap().is_dir() {
+                fs::remove_dir_all(entry.path()).unwrap();
+            }
+        }
+    }
+    let again = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let whole = client.bytes(&format!("v1/scenes/{}/cloud.ply", again.id)).await.is_ok();
+    report.row("11 all files lost, the scan uploaded again", "parsed again", since(start), None, "made anew", whole);
+    target.process.terminate();
+    let doctor = Command::new(env!("CARGO_BIN_EXE_uniground"))
+        .args(["doctor", "--data-dir", target.data.path().to_str().unwrap()])
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&doctor.stdout);
+    let alone = told.contains("stray file") && !told.contains("parse ") && !told.contains("scan ");
+    report.row("the doctor after that", if alone { "a stray file, nothing else" } else { "more" }, 0.0, None, "", alone);
+}
+
+async fn locked(report: &mut Report) {
+    let target = Target::start();
+    let client = &target.process.client;
+    let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let created = client.create_scene(None, ZIP, Scan::neutral().with("note.txt", "2").zip()).await.unwrap();
+    let options = SqliteConnectOptions::new().filename(target.folder().join("uniground.sqlite"));
+    let mut other = SqliteConnection::connect_with(&options).await.unwrap();
+    sqlx::query("BEGIN IMMEDIATE").execute(&mut other).await.unwrap();
+    let start = Instant::now();
+    let answer = client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
+    let seconds = since(start);
+    report.row(
+        "4 a question while the database is locked",
+        if answer.stored { "stored?" } else { "answered, not stored" },
+        seconds,
+        None,
+        "",
+        !answer.stored && seconds < 8.0,
+    );
+    let start = Instant::now();
+    let told = problem(client.rename_scene(&scene.id, "hall").await);
+    let seconds = since(start);
+    report.row(
+        "14 a change while the database is locked",
+        &format!("{} {}", told.status, told.code),
+        seconds,
+        None,
+        "",
+        told.status == 503 && told.retry_after_s.is_some() && seconds < 8.0,
+    );
+    let ready = client.request(reqwest::Method::GET, "readyz").send().await.unwrap().status();
+    report.row("14 readiness while the database is locked", ready.as_str(), 0.0, None, "", ready == 503);
+    tokio::time::sleep(Duration::from_secs(5)).await;
+    drop(other);
+    let start = Instant::now();
+    let job = tokio::time::timeout(Duration::from_mins(1), finished(client, &created.job.unwrap().id)).await;
+    let held = job.as_ref().is_ok_and(|job| job.state == JobState::Succeeded);
+    report.row("7 a job that ended meanwhile", if held { "succeeded" } else { "never ended" }, since(start), None, "", held);
+    let ready = client.bytes("readyz").await.is_ok();
+    report.row("14 readiness afterwards", if ready { "ready" } else { "not ready" }, 0.0, None, "", ready);
+}
+
+/// On a file system of its own, which only root can make.
+async fn full(report: &mut Report) {
+    let mount = tempfile::tempdir().unwrap();
+    let folder = Utf8Path::from_path(mount.path()).unwrap();
+    let mounted = Command::new("mount")
+        .args(["-t", "tmpfs", "-o", "size=40m", "tmpfs", folder.as_str()])
+        .status()
+        .is_ok_and(|s| s.success());
+    if !mounted {
+        println!("left out: 4 a full disk (no file system can be mounted here)");
+        return;
+    }
+    let process = Process::start(&folder.join("data"));
+    let client = &process.client;
+    let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
+    let other = parsed(client, ZIP, Scan::neutral().with("note.txt", "2").zip()).await;
+    // Somebody fills the rest to the last byte.
+    let mut filler = fs::File::create(folder.join("filler")).unwrap();
+    while std::io::Write::write_all(&mut filler, &[1; 4096]).is_ok() {}
+    let start = Instant::now();
+    let mut answers = Vec::new();
+    for _ in 0..40 {
+        answers.push(client.ground(&scene.id, &ask("the red sofa")).await.map(|answer| answer.stored));
+    }
+    let held = answers.iter().all(Result::is_ok) && answers.iter().any(|stored| matches!(stored, Ok(false)));
+    report.row("4 questions on a full disk", "answered, not stored", since(start), None, "", held);
+    let told = problem(client.create_scene(None, ZIP, Scan::neutral().with("note.txt", "x".repeat(1 << 20)).zip()).await);
+    report.row("4 an upload on a full disk", &format!("{} {}", told.status, told.code), 0.0, None, "", told.status == 507);
+    let ready = client.request(reqwest::Method::GET, "readyz").send().await.unwrap().status();
+    report.row("4 readiness on a full disk", ready.as_str(), 0.0, None, "", ready == 503);
+    let start = Instant::now();
+    let deleted = client.delete_scene(&other.id).await;
+    report.row(
+        "4 DELETE on a full disk",
+        if deleted.is_ok() { "204" } else { "not possible" },
+        since(start),
+        None,
+        "room again",
+        deleted.is_ok(),
+    );
+    drop(filler);
+    fs::remove_file(folder.join("filler")).unwrap();
+    let stored = client.ground(&scene.id, &ask("the red sofa")).await.is_ok_and(|answer| answer.stored);
+    report.row("4 a question once there is room", if stored { "stored" } else { "not stored" }, 0.0, None, "", stored);
+    process.kill();
+    let _ = Command::new("umount").arg(folder.as_str()).status();
+}

@@ -1,0 +1,118 @@
+//! An attack on the binary: every case is a few kilobytes, a kill, a full disk or a crowd, and ends in one line of a table:
+//! the case, the answer, seconds, peak memory, and what is left on the disk.
+//!
+//! `cargo test --test attack` takes the short form; `make attack` the whole (`ATTACK=full`).
+
+// A helper that can not go on fails its case.
+#![allow(clippy::unwrap_used, clippy::too_many_lines)]
+
+#[allow(dead_code)]
+#[path = "../integration/archives.rs"]
+mod archives;
+mod crowds;
+mod disks;
+mod hostile;
+mod kills;
+#[allow(dead_code)]
+#[path = "../integration/server.rs"]
+mod server;
+mod uploads;
+
+use camino::{Utf8Path, Utf8PathBuf};
+use server::Process;
+use std::fs;
+use std::time::Instant;
+
+/// How much is tried.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Form {
+    Short,
+    Full,
+}
+
+impl Form {
+    /// One number for the short form, one for the whole.
+    pub(crate) fn of<T>(self, short: T, full: T) -> T {
+        if self == Self::Full { full } else { short }
+    }
+}
+
+/// The table so far, and what did not hold.
+#[derive(Default)]
+pub(crate) struct Report {
+    failed: Vec<String>,
+}
+
+impl Report {
+    /// One line; `held` says whether what was promised held.
+    pub(crate) fn row(&mut self, case: &str, answer: &str, seconds: f64, peak_mb: Option<f64>, left: &str, held: bool) {
+        let peak = peak_mb.map_or_else(|| "-".into(), |mb| format!("{mb:.0} MB"));
+        let verdict = if held { "" } else { "  <-- FAILED" };
+        println!("{case:<52} {answer:<34} {seconds:>7.2} s {peak:>8}  {left}{verdict}");
+        if !held {
+            self.failed.push(case.to_owned());
+        }
+    }
+}
+
+/// A data folder and the server on it.
+pub(crate) struct Target {
+    pub(crate) data: tempfile::TempDir,
+    pub(crate) process: Process,
+}
+
+impl Target {
+    pub(crate) fn start() -> Self {
+        let data = tempfile::tempdir().unwrap();
+        let process = Process::start(Utf8Path::from_path(data.path()).unwrap());
+        Self { data, process }
+    }
+
+    pub(crate) fn folder(&self) -> Utf8PathBuf {
+        Utf8PathBuf::from_path_buf(self.data.path().to_owned()).unwrap()
+    }
+
+    /// Peak resident memory since it was last forgotten, MB.
+    pub(crate) fn peak_mb(&self) -> f64 {
+        let status = fs::read_to_string(format!("/proc/{}/status", self.process.child.id())).unwrap_or_default();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:")).unwrap_or("0 kB");
+        line.trim().trim_end_matches(" kB").parse::<f64>().unwrap() / 1024.0
+    }
+
+    pub(crate) fn forget_peak(&self) {
+        let _ = fs::write(format!("/proc/{}/clear_refs", self.process.child.id()), "5");
+    }
+
+    /// Names of what lies in the folders of scans and uploads.
+    pub(crate) fn left(&self) -> String {
+        let count = |folder: &str| self.folder().join(folder).read_dir_utf8().map_or(0, Iterator::count);
+        format!("contents {}, tmp {}", count("blobs/contents"), count("tmp"))
+    }
+
+    /// Stops and starts again on the same folder.
+    pub(crate) fn again(self) -> Self {
+        let Self { data, process } = self;
+        process.kill();
+        let process = Process::start(Utf8Path::from_path(data.path()).unwrap());
+        Self { data, process }
+    }
+}
+
+/// Seconds since.
+pub(crate) fn since(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64()
+}
+
+fn main() {
+    let form = if std::env::var("ATTACK").is_ok_and(|form| form == "full") { Form::Full } else { Form::Short };
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build().unwrap();
+    let mut report = Report::default();
+    println!("{:<52} {:<34} {:>9} {:>8}  left on the disk", "case", "answer", "time", "peak");
+    runtime.block_on(async {
+        uploads::run(form, &mut report).await;
+        disks::run(form, &mut report).await;
+        kills::run(form, &mut report).await;
+        crowds::run(form, &mut report).await;
+    });
+    assert!(report.failed.is_empty(), "did not hold: {}", report.failed.join("; "));
+}

@@ -1,0 +1,143 @@
+//! Uploads that are refused: by name, at once, with little memory, and leaving nothing.
+
+use crate::archives::Scan;
+use crate::hostile::{self, ZIP, ZST};
+use crate::server::{ask, finished};
+use crate::{Form, Report, Target, since};
+use reqwest::Method;
+use std::time::Instant;
+
+/// Refusals of more memory are none.
+const MOST_MB: f64 = 150.0;
+/// Seconds for what can be told from headers.
+const SOON: f64 = 2.0;
+/// Seconds for what has to be unpacked first.
+const LATER: f64 = 20.0;
+
+pub async fn run(form: Form, report: &mut Report) {
+    let many = form.of(120_000, 250_000);
+    let header = form.of(300 << 20, 1 << 30);
+    let line = form.of(100 << 20, 190 << 20);
+    type Case = (&'static str, &'static str, Vec<u8>, &'static str, f64);
+    let cases: Vec<Case> = vec![
+        ("1 a PLY with a million columns", ZIP, hostile::a_million_columns(), "scene_file_malformed", SOON),
+        ("2 folders 1,900 deep", ZIP, hostile::deep_folders(1900), "archive_entry_unsafe", SOON),
+        (
+            "6 a huge PAX header",
+            ZST,
+            hostile::an_extended_header(tar::EntryType::XHeader, header),
+            "archive_unreadable",
+            SOON,
+        ),
+        (
+            "6 a huge long name",
+            ZST,
+            hostile::an_extended_header(tar::EntryType::GNULongName, form.of(header, 4 << 30)),
+            "archive_unreadable",
+            SOON,
+        ),
+        ("6 an ASCII line without end", ZIP, hostile::an_endless_line(line), "", LATER),
+        ("6 a PLY header without end", ZIP, hostile::an_endless_header(line), "scene_file_malformed", LATER),
+        ("6 thirteen million points", ZIP, hostile::thirteen_million_points(), "scene_file_malformed", LATER),
+        ("6 a pose of megabytes", ZIP, hostile::a_large_pose(100 << 20), "scene_file_malformed", LATER),
+        (
+            "6 a manifest of half a million frames",
+            ZIP,
+            hostile::a_large_manifest(16 << 20),
+            "scene_file_malformed",
+            LATER,
+        ),
+        (
+            "6 a manifest that is just not too long",
+            ZIP,
+            hostile::a_large_manifest(11 << 20),
+            "scene_file_malformed",
+            LATER,
+        ),
+        ("6 more files than may be", ZIP, hostile::many_files(many), "archive_too_large", SOON),
+        ("6 a million folders", ZST, hostile::many_folders(form.of(200_000, 1_000_000)), "archive_too_large", SOON),
+        ("6 a gigabyte of zeros", ZIP, hostile::zeros(form.of(300 << 20, 1 << 30)), "archive_too_large", LATER),
+    ];
+    let target = Target::start();
+    let client = &target.process.client;
+    for (case, media_type, bytes, code, most_seconds) in cases {
+        target.forget_peak();
+        let (start, size) = (Instant::now(), bytes.len());
+        let (answer, held) = match client.create_scene(None, media_type, bytes).await {
+            Err(uniground_client::ClientError::Problem(problem)) => {
+                let held = problem.code == code && (400..500).contains(&problem.status);
+                (format!("{} {}", problem.status, problem.code), held)
+            }
+            // What shows only when rows are read fails the job.
+            Ok(created) if code.is_empty() => {
+                let job = finished(client, &created.job.unwrap().id).await;
+                client.delete_scene(&created.scene.id).await.unwrap();
+                let code = job.error.map(|error| error.code).unwrap_or_default();
+                (format!("202, job {code}"), code == "scene_file_malformed")
+            }
+            other => (format!("{other:?}").chars().take(30).collect(), false),
+        };
+        let (seconds, peak) = (since(start), target.peak_mb());
+        tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+        let left = target.left();
+        let clean = left == "contents 0, tmp 0";
+        report.row(
+            &format!("{case} ({} kB)", size >> 10),
+            &answer,
+            seconds,
+            Some(peak),
+            &left,
+            held && clean && seconds < most_seconds && peak < MOST_MB,
+        );
+    }
+    let target = target.again();
+    let ready = target.process.client.bytes("readyz").await.is_ok();
+    report.row(
+        "all of these, then a restart",
+        if ready { "ready" } else { "not ready" },
+        0.0,
+        Some(target.peak_mb()),
+        &target.left(),
+        ready,
+    );
+    words(&target, report).await;
+}
+
+/// What requests may say.
+async fn words(target: &Target, report: &mut Report) {
+    let client = &target.process.client;
+    let created = client.create_scene(None, ZIP, Scan::neutral().zip()).await.unwrap();
+    finished(client, &created.job.unwrap().id).await;
+    let start = Instant::now();
+    let path = format!("v1/scenes/{}/ground", created.scene.id);
+    let request = client.request(Method::POST, &path).header("content-type", "application/json");
+    let body = format!(r#"{{"query": "the sofa", "{}": 1}}"#, "x".repeat(1 << 20));
+    let short = request
+        .body(body[..(1 << 20) - 100].to_owned() + "\": 1}")
+        .header("x-request-id", "y".repeat(3000))
+        .send()
+        .await
+        .unwrap();
+    let id = short.headers()["x-request-id"].len();
+    let nosniff = short.headers().get("x-content-type-options").is_some();
+    let bytes = short.bytes().await.unwrap().len();
+    report.row(
+        "18 a field of a megabyte, an id of 3,000",
+        &format!("{bytes} bytes back, id of {id}"),
+        since(start),
+        None,
+        "",
+        bytes < 4096 && id < 200 && nosniff,
+    );
+    let response = client.request(Method::GET, "v1/scenes").header("host", "evil.example").send().await.unwrap();
+    report.row("18 another host's name", response.status().as_str(), 0.0, None, "", response.status() == 421);
+    let found = client.ground(&created.scene.id, &ask("the red sofa")).await.is_ok();
+    report.row(
+        "a question after that",
+        if found { "answered" } else { "not answered" },
+        0.0,
+        Some(target.peak_mb()),
+        "",
+        found,
+    );
+}
