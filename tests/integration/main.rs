@@ -11,6 +11,7 @@ mod bad_input;
 mod chat_models;
 mod conventions;
 mod evaluation;
+mod keeping;
 mod language;
 mod layering;
 mod litellm;

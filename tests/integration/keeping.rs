@@ -1,0 +1,121 @@
+//! What a data folder keeps, what it lets go of, and how damage in it is found and mended.
+
+use crate::archives::Scan;
+use crate::server::{Process, TestServer, ask, finished, parsed};
+use camino::{Utf8Path, Utf8PathBuf};
+use sqlx::Connection;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use std::fs;
+use std::process::{Command, Output};
+use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
+use uniground::jobs::Jobs;
+use uniground::service::Service;
+use uniground::store::{JobState, Store};
+use uniground_core::background;
+use uniground_core::models::neural::Models;
+
+fn doctor(data: &Utf8Path, more: &[&str]) -> Output {
+    let program = Command::new(env!("CARGO_BIN_EXE_uniground"))
+        .args(["doctor", "--data-dir", data.as_str()])
+        .args(more)
+        .output();
+    program.unwrap()
+}
+
+fn told(output: &Output) -> String {
+    format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
+}
+
+async fn database(data: &Utf8Path) -> SqliteConnection {
+    SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(data.join("uniground.sqlite")))
+        .await
+        .unwrap()
+}
+
+fn only(folder: &Utf8Path) -> Utf8PathBuf {
+    folder.read_dir_utf8().unwrap().next().unwrap().unwrap().into_path()
+}
+
+/// A folder nobody knows is set aside, not removed; one that is older than the database is not even touched.
+#[tokio::test]
+async fn what_no_record_speaks_of_goes_to_the_quarantine() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let data = server.give_back().await;
+    let folder = Utf8Path::from_path(data.path()).unwrap();
+    fs::create_dir(folder.join("blobs/parses/stranger")).unwrap();
+    fs::write(folder.join("blobs/parses/stranger/cloud.ply"), "points").unwrap();
+    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+    assert!(!server.stored("blobs/parses").contains(&"stranger".to_owned()));
+    let day = only(&server.data().join("quarantine"));
+    assert_eq!(fs::read_to_string(day.join("parses/stranger/cloud.ply")).unwrap(), "points");
+
+    // A database that is restored, or comes from elsewhere, has not seen what is older than its coming.
+    let data = server.give_back().await;
+    let folder = Utf8Path::from_path(data.path()).unwrap();
+    fs::create_dir(folder.join("blobs/parses/another")).unwrap();
+    let mut rows = database(folder).await;
+    sqlx::query("UPDATE data_folder SET id = 'elsewhere'").execute(&mut rows).await.unwrap();
+    rows.close().await.unwrap();
+    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+    assert!(server.stored("blobs/parses").contains(&"another".to_owned()));
+    assert_eq!(server.client.scene(&scene.id).await.unwrap().id, scene.id);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn the_doctor_finds_damage_and_the_next_server_mends_it() {
+    let data = tempfile::tempdir().unwrap();
+    let data = Utf8Path::from_path(data.path()).unwrap();
+    let server = Process::start(data);
+    let scene = parsed(&server.client, "application/zip", Scan::neutral().zip()).await;
+    let refused = doctor(data, &[]);
+    assert!(!refused.status.success() && told(&refused).contains("another server"), "{}", told(&refused));
+    assert_eq!(server.terminate(), Some(0));
+    let well = doctor(data, &[]);
+    assert!(well.status.success() && told(&well).contains("is whole"), "{}", told(&well));
+
+    fs::write(only(&data.join("blobs/parses")).join("cloud.ply"), "ply").unwrap();
+    fs::create_dir(data.join("blobs/answers/stranger")).unwrap();
+    let ill = doctor(data, &[]);
+    assert!(!ill.status.success(), "{}", told(&ill));
+    assert!(told(&ill).contains("cloud.ply damaged") && told(&ill).contains("blobs/answers/stranger"), "{}", told(&ill));
+    let repaired = doctor(data, &["--repair"]);
+    assert!(repaired.status.success() && told(&repaired).contains("repaired: 2; 1 parses wait"), "{}", told(&repaired));
+
+    let server = Process::start(data);
+    let job = server.client.scene(&scene.id).await.unwrap().job_id.unwrap();
+    assert_eq!(finished(&server.client, &job).await.state, JobState::Succeeded);
+    let again = server.client.scene(&scene.id).await.unwrap();
+    assert_eq!((again.parse_version, again.counts), (2, scene.counts));
+    assert_eq!(server.terminate(), Some(0));
+    assert!(doctor(data, &[]).status.success());
+
+    // A scan can not be made again: that is for people.
+    let content = only(&data.join("blobs/contents"));
+    fs::remove_file(content.join("pose/3.txt")).unwrap();
+    let left = doctor(data, &["--repair"]);
+    assert!(!left.status.success() && told(&left).contains("upload the scan again"), "{}", told(&left));
+}
+
+#[tokio::test]
+async fn old_answers_go_and_new_ones_stay() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let answer = server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
+    let data = server.give_back().await;
+    let folder = Utf8Path::from_path(data.path()).unwrap();
+    let mut rows = database(folder).await;
+    // Of January 2020, by its id.
+    let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
+               SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, created_at FROM answers, json_each('[1,2,3]')";
+    sqlx::query(sql).execute(&mut rows).await.unwrap();
+    let store = Store::open(folder).await.unwrap();
+    let limits = LimitsConfig { keep_answers_days: 30, ..LimitsConfig::default() };
+    let jobs = Jobs::new(store.clone(), 10);
+    let service = Service::new(store.clone(), jobs, limits.service_limits(), None, Models::default(), background::pool().unwrap());
+    service.keep_house().await.unwrap();
+    let left: Vec<String> = sqlx::query_scalar("SELECT id FROM answers").fetch_all(&mut rows).await.unwrap();
+    assert_eq!(left, [answer.id]);
+    store.close().await;
+}
