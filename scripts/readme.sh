@@ -4,7 +4,7 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 data=$(mktemp -d)
-UNIGROUND_DATA_DIR="$data" ./target/release/uniground serve >"$data/out" 2>"$data/log" &
+UNIGROUND_DATA_DIR="$data/data" ./target/release/uniground serve >"$data/out" 2>"$data/log" &
 server=$!
 trap 'kill "$server" && wait "$server" || true; rm -rf "$data"' EXIT
 for _ in $(seq 100); do grep -q '^listening' "$data/out" && break; sleep 0.1; done

@@ -14,7 +14,7 @@ fi
 data=$(mktemp -d)
 server=
 trap '[ -z "$server" ] || { kill "$server" && wait "$server" || true; }; rm -rf "$data"' EXIT
-./target/release/uniground serve --listen 127.0.0.1:0 --data-dir "$data" >"$data/out" 2>"$data/log" &
+./target/release/uniground serve --listen 127.0.0.1:0 --data-dir "$data/data" >"$data/out" 2>"$data/log" &
 server=$!
 for _ in $(seq 100); do
     url=$(sed -n 's/^listening on //p' "$data/out")
