@@ -41,7 +41,6 @@ pub async fn run(form: Form, report: &mut Report) {
     let target = Target::start();
     let client = &target.process.client;
     let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
-    let job = scene.job_id.clone().unwrap();
     let address = client.request(reqwest::Method::GET, "healthz").build().unwrap().url().authority().to_owned();
     let count = form.of(300, 1000);
     questions(client, &scene.id, 200).await;
@@ -89,28 +88,28 @@ pub async fn run(form: Form, report: &mut Report) {
     drop(crowd);
 
     let streams = form.of(600, 2000);
-    // A job that is not over keeps its streams open: one that waits behind a long queue.
-    let mut waiting = None;
-    for i in 0..12 {
-        let archive = Scan::neutral().with("note.txt", format!("{i}")).zip();
-        waiting = client.create_scene(None, ZIP, archive).await.unwrap().job;
-    }
-    let job = waiting.map_or(job, |job| job.id);
+    // A job that is not over keeps its streams open: one that waits for its time.
+    let options = SqliteConnectOptions::new().filename(target.folder().join("uniground.sqlite"));
+    let mut other = SqliteConnection::connect_with(&options).await.unwrap();
+    let sql = "INSERT INTO jobs (id, kind, subject, payload, state, created_at, not_before)
+               VALUES ('waiting', 'parse', ?, '{}', 'queued', ?, strftime('%Y-%m-%dT%H:%M:%SZ', 'now', '+1 hour'))";
+    sqlx::query(sql).bind(&scene.id).bind(&scene.created_at).execute(&mut other).await.unwrap();
+    other.close().await.unwrap();
     let mut crowd = Vec::new();
     for _ in 0..streams {
-        crowd.extend(say(&address, &format!("GET /v1/jobs/{job}/events HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n")).await);
+        crowd.extend(say(&address, "GET /v1/jobs/waiting/events HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n").await);
     }
     let last = told(crowd.last_mut().unwrap()).await;
     let fresh = Client::new(&format!("http://{address}"), None).unwrap();
     let (p99, longest) = questions(&fresh, &scene.id, count).await;
-    // Parses run meanwhile: they give way, and still take something.
+    let refused = last.contains("429");
     report.row(
-        &format!("5 {streams} event streams, 12 parses"),
+        &format!("5 {streams} event streams"),
         &format!("p99 {p99:.1}, longest {longest:.0} ms"),
         0.0,
         Some(target.peak_mb()),
         &last,
-        p99 < most.max(100.0),
+        p99 < most && refused,
     );
     drop(crowd);
     many_answers(form, report).await;

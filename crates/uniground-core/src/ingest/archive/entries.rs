@@ -5,7 +5,7 @@ use crate::ingest::IngestError;
 use crate::ingest::bounded::{Allowance, Bounded};
 use camino::Utf8Path;
 use std::fs::File;
-use std::io::{BufReader, Read};
+use std::io::{self, BufReader, Read, Seek, SeekFrom};
 
 /// What an entry is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -49,9 +49,15 @@ pub(super) fn walk(
     }
 }
 
-fn walk_zip(file: File, limits: &UnpackLimits, with_content: bool, visitor: &mut dyn Visit) -> Result<(), IngestError> {
+fn walk_zip(mut file: File, limits: &UnpackLimits, with_content: bool, visitor: &mut dyn Visit) -> Result<(), IngestError> {
     let unreadable = |reason: &dyn ToString| ArchiveKind::Zip.unreadable(reason.to_string());
     let packed_bytes = file.metadata().map_or(0, |m| m.len());
+    if announced_entries(&mut file)
+        .map_err(|e| unreadable(&e))?
+        .is_some_and(|entries| entries > limits.max_entries as u64)
+    {
+        return Err(limits.too_many_entries());
+    }
     // What is read here is kept: the directory as a whole.
     let allowance = Allowance::of(MAX_ZIP_DIRECTORY_BYTES);
     let mut zip = zip::ZipArchive::new(BufReader::new(Bounded::new(file, &allowance))).map_err(|e| match allowance.is_spent() {
@@ -78,6 +84,38 @@ fn walk_zip(file: File, limits: &UnpackLimits, with_content: bool, visitor: &mut
         visited?;
     }
     Ok(())
+}
+
+/// How many entries a zip says it has, by the record at its end; `None` where there is none. It is looked at before the directory is read:
+/// of that, all is kept. The file is at its start again afterwards.
+fn announced_entries(file: &mut File) -> io::Result<Option<u64>> {
+    // The record, the longest comment after it, and before it where the record of large archives is.
+    const RECORD: usize = 22;
+    const LOCATOR: usize = 20;
+    const LONGEST_TAIL: usize = LOCATOR + RECORD + u16::MAX as usize;
+    let length = file.seek(SeekFrom::End(0))?;
+    file.seek(SeekFrom::Start(length.saturating_sub(LONGEST_TAIL as u64)))?;
+    let mut tail = Vec::new();
+    file.take(LONGEST_TAIL as u64).read_to_end(&mut tail)?;
+    let mut entries = None;
+    if let Some(at) = tail.windows(4).rposition(|four| four == b"PK\x05\x06")
+        && let Some(count) = tail.get(at + 10..at + 12)
+    {
+        entries = Some(u64::from(u16::from_le_bytes([count[0], count[1]])));
+        let locator = at
+            .checked_sub(LOCATOR)
+            .map(|start| &tail[start..at])
+            .filter(|locator| locator.starts_with(b"PK\x06\x07"));
+        if let Some(offset) = locator.and_then(|locator| locator[8..16].try_into().ok()).map(u64::from_le_bytes) {
+            let mut large = [0; 40];
+            file.seek(SeekFrom::Start(offset))?;
+            if file.read_exact(&mut large).is_ok() && large.starts_with(b"PK\x06\x06") {
+                entries = large[32..40].try_into().ok().map(u64::from_le_bytes);
+            }
+        }
+    }
+    file.rewind()?;
+    Ok(entries)
 }
 
 fn walk_tar(source: impl Read, kind: ArchiveKind, bytes: u64, limits: &UnpackLimits, visitor: &mut dyn Visit) -> Result<(), IngestError> {
