@@ -22,7 +22,7 @@ pub struct RunningService {
     /// Where it listens, with the port the system picked.
     pub address: SocketAddr,
     shutdown: CancellationToken,
-    server: JoinHandle<std::io::Result<()>>,
+    server: JoinHandle<()>,
     lanes: Vec<JoinHandle<()>>,
     store: Store,
 }
@@ -119,7 +119,7 @@ impl RunningService {
     /// Stops: no new requests, running ones finish, running jobs go back to their queues, the database is closed.
     ///
     /// # Errors
-    /// When the server had failed before.
+    /// When the server or a lane had panicked before.
     pub async fn stop(self) -> anyhow::Result<()> {
         self.shutdown.cancel();
         for lane in self.lanes {
@@ -127,18 +127,16 @@ impl RunningService {
         }
         // A caller that stalls in the middle of its request must not keep the process alive.
         let abort = self.server.abort_handle();
-        let served = if let Ok(served) = timeout(GRACE, self.server).await {
-            served?
-        } else {
+        let served = timeout(GRACE, self.server).await.unwrap_or_else(|_| {
             tracing::warn!("some requests did not finish in time and are cut off");
             abort.abort();
             Ok(())
-        };
+        });
         self.store.close().await;
         Ok(served?)
     }
 
-    /// Completes when the server ends by itself, which it only does when it fails.
+    /// Completes when the server ends by itself, which it only does when it panics.
     pub async fn ended(&mut self) {
         // A finished handle must not be polled again: `stop` does that for the error, so only look.
         while !self.server.is_finished() {

@@ -3,6 +3,7 @@
 //! A connection that sends nothing costs its sender nothing, so it must cost us little: where all places are taken, the one that has been
 //! idle or half way through a header longest gives its place to a newcomer. Those with a request under way keep theirs.
 
+use super::problem::Refused;
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::http::Request;
@@ -12,7 +13,6 @@ use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::server::graceful::GracefulShutdown;
 use std::collections::BTreeMap;
-use std::io;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -32,11 +32,8 @@ const WRITE_TIME: Duration = Duration::from_secs(30);
 /// Bytes of a request's line and headers.
 const MAX_HEADER_BYTES: usize = 64 << 10;
 
-/// Serves until `shutdown`; then requests under way are finished.
-///
-/// # Errors
-/// None today: trouble with one connection is that connection's.
-pub async fn serve(listener: TcpListener, router: Router, most: usize, shutdown: CancellationToken) -> io::Result<()> {
+/// Serves until `shutdown`; then requests under way are finished. Trouble with one connection is that connection's.
+pub async fn serve(listener: TcpListener, router: Router, most: usize, shutdown: CancellationToken) {
     let (places, graceful) = (Places::new(most), GracefulShutdown::new());
     loop {
         let accepted = tokio::select! {
@@ -57,7 +54,6 @@ pub async fn serve(listener: TcpListener, router: Router, most: usize, shutdown:
     }
     drop(listener);
     graceful.shutdown().await;
-    Ok(())
 }
 
 async fn connection(stream: TcpStream, router: Router, place: Place, watcher: hyper_util::server::graceful::Watcher) {
@@ -86,10 +82,10 @@ async fn connection(stream: TcpStream, router: Router, place: Place, watcher: hy
 
 /// Says that there is no room, for those who listen.
 async fn turn_away(mut stream: TcpStream) {
-    const BODY: &str = r#"{"type":"about:blank","title":"Service Unavailable","status":503,"detail":"too many connections: try again in a moment","code":"overloaded","retry_after_s":1}"#;
+    let body = Refused::no_connection().body();
     let response = format!(
-        "HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/problem+json\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{BODY}",
-        BODY.len()
+        "HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/problem+json\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{body}",
+        body.len()
     );
     let _ = timeout(Duration::from_secs(1), stream.write_all(response.as_bytes())).await;
 }

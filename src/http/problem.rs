@@ -36,6 +36,18 @@ impl Refused {
         Self::new(StatusCode::INTERNAL_SERVER_ERROR, "internal", "something went wrong inside the server; its log has the cause")
     }
 
+    /// All connections are taken.
+    #[must_use]
+    pub fn no_connection() -> Self {
+        Self::new(StatusCode::SERVICE_UNAVAILABLE, "overloaded", "too many connections: try again in a moment")
+    }
+
+    /// The problem as JSON.
+    #[must_use]
+    pub fn body(&self) -> String {
+        serde_json::json!(self.0).to_string()
+    }
+
     pub fn invalid(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
         let (pointer, detail) = (pointer.into(), detail.into());
         let mut refused = Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid_request", format!("{pointer}: {detail}"));
@@ -142,7 +154,6 @@ impl IntoResponse for Refused {
     fn into_response(self) -> Response {
         let Self(mut problem) = self;
         shorten(&mut problem.detail);
-        problem.errors.truncate(1);
         for FieldError { pointer, detail } in &mut problem.errors {
             shorten(pointer);
             shorten(detail);

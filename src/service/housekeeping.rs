@@ -20,7 +20,8 @@ impl Service {
         self.forget_transcripts().await?;
         self.forget_answers().await?;
         self.store.sweep().await?;
-        for parse in self.store.all_parses().await? {
+        // One that was retired is known to be damaged, and kept for its answers only.
+        for parse in self.store.all_parses().await?.iter().filter(|parse| !parse.is_retired()) {
             let wrong = self.look_at_parse(&parse.id, Look::Bytes).await?;
             if let Some(Damage { file, what }) = wrong.iter().find(|damage| damage.what != "stray") {
                 tracing::error!(parse_id = parse.id, file = %file, what, "a stored parse is damaged");
@@ -54,8 +55,7 @@ impl Service {
                 break;
             }
             forgotten += answers.len();
-            let folders = answers.iter().map(|answer| self.store.blobs.answer(answer)).collect();
-            self.store.blobs.remove_later(self.store.blobs.set_aside(folders).await?);
+            self.discard_transcripts(&answers).await?;
         }
         if forgotten > 0 {
             tracing::info!(answers = forgotten, days, "removed answers that were kept long enough");

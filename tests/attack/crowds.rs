@@ -29,12 +29,14 @@ async fn say(address: &str, text: &str) -> Option<TcpStream> {
     Some(stream)
 }
 
-/// The first line of what comes back within a moment.
-async fn told(stream: &mut TcpStream) -> String {
-    let mut bytes = [0; 64];
-    let read = tokio::time::timeout(Duration::from_millis(300), stream.read(&mut bytes)).await;
-    let text = String::from_utf8_lossy(&bytes[..read.map_or(0, |read| read.unwrap_or(0))]).into_owned();
-    text.lines().next().unwrap_or_default().to_owned()
+/// How many of the crowd are told that there is no place for them: most; which ones is the scheduler's business.
+async fn refused(crowd: &mut [TcpStream]) -> usize {
+    let told = crowd.iter_mut().map(async |stream| {
+        let mut bytes = [0; 64];
+        let read = tokio::time::timeout(Duration::from_millis(500), stream.read(&mut bytes)).await;
+        String::from_utf8_lossy(&bytes[..read.map_or(0, |read| read.unwrap_or(0))]).starts_with("HTTP/1.1 429")
+    });
+    futures::future::join_all(told).await.into_iter().filter(|refused| *refused).count()
 }
 
 pub async fn run(form: Form, report: &mut Report) {
@@ -46,8 +48,8 @@ pub async fn run(form: Form, report: &mut Report) {
     questions(client, &scene.id, 200).await;
     let (calm, _) = questions(client, &scene.id, count).await;
     report.row("questions, calm", &format!("p99 {calm:.1} ms"), 0.0, Some(target.peak_mb()), "", true);
-    // Twice the calm value; below this many milliseconds the machine's own noise decides.
-    let most = (2.0 * calm).max(25.0);
+    // Twice the calm value; below this many milliseconds the machine's own noise decides, and more so where other tests ran just now.
+    let most = (2.0 * calm).max(form.of(250.0, 25.0));
 
     let half_headers = form.of(1100, 3000);
     let mut crowd = Vec::new();
@@ -75,14 +77,14 @@ pub async fn run(form: Form, report: &mut Report) {
     let fresh = Client::new(&format!("http://{address}"), None).unwrap();
     let (p99, longest) = questions(&fresh, &scene.id, count).await;
     let ready = fresh.bytes("readyz").await.is_ok();
-    let last = told(crowd.last_mut().unwrap()).await;
-    let held = p99 < most && ready && last.contains("429");
+    let refused_uploads = refused(&mut crowd).await;
+    let held = p99 < most && ready && 2 * refused_uploads > stalled;
     report.row(
         &format!("5 {stalled} stalled uploads"),
         &format!("p99 {p99:.1}, longest {longest:.0} ms"),
         0.0,
         Some(target.peak_mb()),
-        &last,
+        &format!("{refused_uploads} refused with 429"),
         held,
     );
     drop(crowd);
@@ -99,17 +101,16 @@ pub async fn run(form: Form, report: &mut Report) {
     for _ in 0..streams {
         crowd.extend(say(&address, "GET /v1/jobs/waiting/events HTTP/1.1\r\nhost: 127.0.0.1\r\n\r\n").await);
     }
-    let last = told(crowd.last_mut().unwrap()).await;
     let fresh = Client::new(&format!("http://{address}"), None).unwrap();
     let (p99, longest) = questions(&fresh, &scene.id, count).await;
-    let refused = last.contains("429");
+    let refused_streams = refused(&mut crowd).await;
     report.row(
         &format!("5 {streams} event streams"),
         &format!("p99 {p99:.1}, longest {longest:.0} ms"),
         0.0,
         Some(target.peak_mb()),
-        &last,
-        p99 < most && refused,
+        &format!("{refused_streams} refused with 429"),
+        p99 < most && 2 * refused_streams > streams,
     );
     drop(crowd);
     many_answers(form, report).await;

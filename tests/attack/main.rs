@@ -6,6 +6,7 @@
 // A helper that can not go on fails its case.
 #![allow(clippy::unwrap_used, clippy::too_many_lines)]
 
+// Some helpers of these two are for the other tests only.
 #[allow(dead_code)]
 #[path = "../integration/archives.rs"]
 mod archives;

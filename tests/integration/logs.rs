@@ -53,7 +53,7 @@ async fn an_error_is_told_once_with_route_request_and_cause() {
     assert_eq!(about.len(), 1, "{about:#?}");
     let (line, request) = (about[0], &spans(about[0])[0]);
     assert_eq!((line["level"].as_str(), line["fields"]["code"].as_str()), (Some("ERROR"), Some("parse_damaged")));
-    assert!(line["fields"]["cause"].as_str().unwrap().contains("No such file"), "{line}");
+    assert!(line["fields"]["cause"].as_str().unwrap().contains("cloud.ply is missing"), "{line}");
     assert_eq!(
         (request["name"].as_str(), request["route"].as_str()),
         (Some("request"), Some("/v1/scenes/{scene_id}/cloud.ply"))

@@ -10,7 +10,7 @@ use std::sync::Arc;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::PictureCache;
 use uniground_core::grounding::pipeline::SceneSource;
-use uniground_core::ingest;
+use uniground_core::ingest::{self, IngestError};
 use uniground_core::models::neural::{DualEncoder, Role};
 use uniground_core::models::{attributes, with_causes};
 use uniground_core::render::{RenderScene, Shot};
@@ -66,7 +66,10 @@ impl SceneSource for StoredScene {
         let file = ParseFile::Cloud.of(&self.folder());
         self.service.check_file(&self.parse.id, &file)?;
         // Whoever asked has nothing to do with it.
-        let damaged = |error| Error::ParseDamaged { parse_id: self.parse.id.clone(), what: with_causes(&error) };
+        let damaged = |error| match error {
+            IngestError::Io { .. } => Error::Ingest(error),
+            error => Error::ParseDamaged { parse_id: self.parse.id.clone(), what: with_causes(&error) },
+        };
         let render_scene = Arc::new(RenderScene::of(ingest::read_cloud(&file).map_err(damaged)?));
         known.put(self.parse.id.clone(), render_scene.clone(), render_scene.cloud.len());
         Ok(render_scene)

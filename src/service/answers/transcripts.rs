@@ -72,6 +72,13 @@ impl Service {
         }
     }
 
+    /// Removes what was kept for answers that are gone, in the background.
+    pub(in crate::service) async fn discard_transcripts(&self, answers: &[String]) -> Result<(), Error> {
+        let folders = answers.iter().map(|answer| self.store.blobs.answer(answer)).collect();
+        self.store.blobs.remove_later(self.store.blobs.set_aside(folders).await?);
+        Ok(())
+    }
+
     /// Removes what was kept longer than the operator wants.
     ///
     /// # Errors

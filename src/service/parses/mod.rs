@@ -18,6 +18,7 @@ use camino::{Utf8Path, Utf8PathBuf};
 use job::Payload;
 use sha2::{Digest, Sha256};
 use std::fs;
+use std::io;
 use std::sync::Arc;
 use tokio::task::spawn_blocking;
 use uniground_core::geometry::boxes::Aabb;
@@ -128,7 +129,11 @@ impl Service {
     pub(super) fn check_file(&self, parse_id: &str, file: &Utf8Path) -> Result<(), Error> {
         let damaged = |what: String| Error::ParseDamaged { parse_id: parse_id.to_owned(), what };
         let stamp = |file: &Utf8Path| fs::metadata(file).and_then(|m| Ok((m.len(), m.modified()?)));
-        let now = stamp(file).map_err(|error| damaged(format!("{file}: {error}")))?;
+        let now = stamp(file).map_err(|error| match error.kind() {
+            io::ErrorKind::NotFound => damaged(format!("{} is missing", file.file_name().unwrap_or_default())),
+            // A disk that fails for a moment has lost nothing.
+            _ => Error::Io(error),
+        })?;
         if self.parses.sound.get(file.as_str()) == Some(now) {
             return Ok(());
         }

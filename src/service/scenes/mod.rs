@@ -73,8 +73,7 @@ impl Service {
             if answers.is_empty() {
                 break;
             }
-            let folders = answers.iter().map(|answer| self.store.blobs.answer(answer)).collect();
-            self.store.blobs.remove_later(self.store.blobs.set_aside(folders).await?);
+            self.discard_transcripts(&answers).await?;
         }
         let _references = self.content_references.lock().await;
         let left_over = self.store.delete_scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;

@@ -183,7 +183,7 @@ mod tests {
 
     #[test]
     fn entries_that_leave_the_folder_are_refused_by_name() {
-        for name in ["../evil", "a/../../evil", "/etc/passwd", "a\\..\\evil"] {
+        for name in ["../evil", "a/../../evil", "/etc/passwd", "a\\..\\evil", "a\nb"] {
             let refused = unpack_bytes(&zip_of(&[(name, b"x")]), ArchiveKind::Zip, &UnpackLimits::default());
             assert!(matches!(refused, Err(IngestError::UnsafeEntry { .. })), "{name}: {refused:?}");
         }

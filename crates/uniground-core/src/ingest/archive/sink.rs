@@ -104,8 +104,8 @@ fn cannot_store(name: &str, source: io::Error) -> IngestError {
 
 /// The entry's path when it is relative and stays inside the archive.
 pub(super) fn safe_path(name: &str) -> Result<Utf8PathBuf, IngestError> {
-    if name.contains(['\\', '\0']) {
-        return Err(IngestError::unsafe_entry(name, "holds a backslash or NUL"));
+    if name.contains(|c: char| c == '\\' || c.is_control()) {
+        return Err(IngestError::unsafe_entry(name, "holds a backslash or a control character"));
     }
     let mut path = Utf8PathBuf::new();
     for component in Utf8Path::new(name).components() {
