@@ -153,6 +153,14 @@ impl Process {
     }
 }
 
+/// A test that ends early leaves no server behind.
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
 pub fn command(data: &Utf8Path, listen: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
     command

@@ -5,7 +5,7 @@ use super::correction::{Corrector, Projection};
 use super::views::{Sighting, sightings, visible_pixels};
 use crate::models::neural::DualEncoder;
 use crate::progress::Progress;
-use crate::scene::{Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, stream_frames};
+use crate::scene::{FrameIndex, FrameRef, Instance, InstanceId, PointCloud, stream_frames};
 use image::{RgbImage, imageops};
 use std::collections::BTreeMap;
 use uniground_types::settings::AppearanceSettings;
@@ -67,9 +67,9 @@ pub fn look(
             let mut seen = projected[&frame.index].clone();
             let picture = match corrector {
                 Some(corrector) => {
-                    let frame = frame.decode()?;
-                    correct(&frame, labelled, corrector, &mut seen, progress)?;
-                    frame.colour
+                    let picture = frame.decode_colour()?;
+                    correct(frame, &picture, labelled, corrector, &mut seen, progress)?;
+                    picture
                 }
                 None => frame.decode_colour()?,
             };
@@ -105,7 +105,10 @@ pub fn of_known(
     let mut seen = Vec::new();
     stream_frames(
         frames,
-        |frame| Ok::<_, ParseError>(sightings(labelled.cloud, labelled.instance_of_point, &frame.decode()?, labelled.depth_tolerance)),
+        |frame| {
+            let depth = frame.decode_depth()?;
+            Ok::<_, ParseError>(sightings(labelled.cloud, labelled.instance_of_point, frame, &depth, labelled.depth_tolerance))
+        },
         |_, of_frame| {
             seen.extend(of_frame);
             Ok(())
@@ -117,22 +120,24 @@ pub fn of_known(
 
 /// Replaces projected boxes by those of masks that agree with them.
 fn correct(
-    frame: &Frame,
+    frame: &FrameRef,
+    picture: &RgbImage,
     labelled: Labelled,
     corrector: &Corrector,
     boxes: &mut BTreeMap<InstanceId, [u32; 4]>,
     progress: &Progress,
 ) -> Result<(), ParseError> {
-    let encoded = corrector.frames.of(frame.index, &frame.colour)?;
+    let encoded = corrector.frames.of(frame.index, picture)?;
     corrector.frames.forget(frame.index);
-    let pixels = visible_pixels(labelled.cloud, labelled.instance_of_point, frame, labelled.depth_tolerance);
+    let depth = frame.decode_depth()?;
+    let pixels = visible_pixels(labelled.cloud, labelled.instance_of_point, frame, &depth, labelled.depth_tolerance);
     for of_instance in pixels.chunk_by(|a, b| a.0 == b.0) {
         progress.check()?;
         let instance = of_instance[0].0;
         let Some(tight) = boxes.get_mut(&instance) else { continue };
         let pixels: Vec<(f32, f32)> = of_instance.iter().map(|(_, u, v)| (*u, *v)).collect();
         let projection = Projection { instance, frame: frame.index, pixels: &pixels };
-        if let Some(corrected) = corrector.tight_box(&encoded, &projection, frame.colour.dimensions())? {
+        if let Some(corrected) = corrector.tight_box(&encoded, &projection, picture.dimensions())? {
             *tight = corrected;
         }
     }

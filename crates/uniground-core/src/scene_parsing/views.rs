@@ -3,7 +3,7 @@
 use super::appearance::Boxes;
 use crate::geometry::Point3;
 use crate::geometry::statistics::quantile;
-use crate::scene::{Camera, Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View};
+use crate::scene::{Camera, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View};
 use rayon::prelude::*;
 use uniground_types::settings::ViewSettings;
 
@@ -21,19 +21,21 @@ pub struct Sighting {
 pub fn visible_pixels(
     cloud: &PointCloud,
     instance_of_point: &[InstanceId],
-    frame: &Frame,
+    frame: &FrameRef,
+    depth: &DepthImage,
     depth_tolerance: f32,
 ) -> Vec<(InstanceId, f32, f32)> {
+    let (depth_camera, colour_camera) = (frame.depth_camera(), frame.colour_camera());
     let mut hits: Vec<(InstanceId, f32, f32)> = cloud
         .positions
         .par_iter()
         .with_min_len(1 << 14)
         .zip(instance_of_point)
         .filter_map(|(p, &instance)| {
-            let seen = frame.depth_camera.project(p)?;
-            let depth_m = frame.depth.at(seen.cell());
+            let seen = depth_camera.project(p)?;
+            let depth_m = depth.at(seen.cell());
             let visible = depth_m > 0.0 && (seen.z_m - depth_m).abs() <= depth_tolerance * depth_m;
-            let pixel = visible.then(|| frame.colour_camera.project(p)).flatten()?;
+            let pixel = visible.then(|| colour_camera.project(p)).flatten()?;
             Some((instance, pixel.u, pixel.v))
         })
         .collect();
@@ -45,9 +47,15 @@ pub fn visible_pixels(
 ///
 /// The box in the picture is robust: the outermost 1 % of the visible points at each side are left out.
 #[must_use]
-pub fn sightings(cloud: &PointCloud, instance_of_point: &[InstanceId], frame: &Frame, depth_tolerance: f32) -> Vec<Sighting> {
-    let hits = visible_pixels(cloud, instance_of_point, frame, depth_tolerance);
-    let (width, height) = frame.colour.dimensions();
+pub fn sightings(
+    cloud: &PointCloud,
+    instance_of_point: &[InstanceId],
+    frame: &FrameRef,
+    depth: &DepthImage,
+    depth_tolerance: f32,
+) -> Vec<Sighting> {
+    let hits = visible_pixels(cloud, instance_of_point, frame, depth, depth_tolerance);
+    let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
     hits.chunk_by(|a, b| a.0 == b.0)
         .map(|hits| {
             let bound =
