@@ -2,7 +2,7 @@
 
 use super::ParseError;
 use super::correction::{Corrector, Projection};
-use super::views::{Sighting, sightings, visible_pixels};
+use super::views::{Sighting, all_sightings, visible_pixels};
 use crate::models::neural::DualEncoder;
 use crate::progress::Progress;
 use crate::scene::{FrameIndex, FrameRef, Instance, InstanceId, PointCloud, stream_frames};
@@ -102,20 +102,10 @@ pub fn of_known(
     encoder: &DualEncoder,
     settings: &AppearanceSettings,
 ) -> Result<Vec<f32>, ParseError> {
-    let mut seen = Vec::new();
-    stream_frames(
-        frames,
-        |frame| {
-            let depth = frame.decode_depth()?;
-            Ok::<_, ParseError>(sightings(labelled.cloud, labelled.instance_of_point, frame, &depth, labelled.depth_tolerance))
-        },
-        |_, of_frame| {
-            seen.extend(of_frame);
-            Ok(())
-        },
-    )?;
+    let quiet = Progress::silent();
+    let seen = all_sightings(labelled.cloud, labelled.instance_of_point, frames, labelled.depth_tolerance, &quiet)?;
     let boxes = choose(instances, &seen, settings);
-    Ok(look(frames, instances, boxes, labelled, (None, Some(encoder)), settings, &Progress::silent())?.0)
+    Ok(look(frames, instances, boxes, labelled, (None, Some(encoder)), settings, &quiet)?.0)
 }
 
 /// Replaces projected boxes by those of masks that agree with them.

@@ -29,7 +29,7 @@ use crate::geometry::boxes::Aabb;
 use crate::models::neural::{DualEncoder, ModelError};
 use crate::models::{attributes, calibration};
 use crate::progress::{Cancelled, Progress};
-use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle, stream_frames};
+use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle};
 use appearance::Labelled;
 use checkpoints::Checkpoints;
 use correction::Corrector;
@@ -156,21 +156,9 @@ pub fn parse(
         Ok::<_, ParseError>(built)
     })?;
 
-    let viewing = progress.part(ends[6], ends[7]);
     let sightings = watch.time("views", |outcome| {
-        let mut sightings = Vec::new();
-        stream_frames(
-            &frames,
-            |frame| {
-                viewing.check()?;
-                let depth = frame.decode_depth()?;
-                Ok::<_, ParseError>(views::sightings(&cloud, &instance_of_point, frame, &depth, settings.depth_tolerance))
-            },
-            |i, seen| {
-                sightings.extend(seen);
-                Ok(viewing.report("views", (i + 1) as f32 / frames.len() as f32)?)
-            },
-        )?;
+        let viewing = progress.part(ends[6], ends[7]);
+        let sightings = views::all_sightings(&cloud, &instance_of_point, &frames, settings.depth_tolerance, &viewing)?;
         outcome.produced = sightings.len();
         Ok::<_, ParseError>(sightings)
     })?;
@@ -201,13 +189,6 @@ pub fn parse(
         .map(|encoder| calibration::name_all(&mut instances, encoder, &rows))
         .transpose()?;
 
-    let mut warnings = Vec::new();
-    if frames.is_empty() {
-        warnings.push("the scan has no frames: instances come from geometry and point colour alone and have no pictures".into());
-    }
-    if !blind.is_empty() {
-        warnings.push(format!("{} of {} frames see no point of the cloud: {}", blind.len(), frames.len(), shortened(&blind)));
-    }
     let report = ParseReport {
         points: cloud.len() as u64,
         frames_used: frames.len() as u32,
@@ -216,10 +197,22 @@ pub fn parse(
         structural: instances.iter().filter(|i| i.structure.is_some()).count() as u32,
         without_views: instances.iter().filter(|i| i.views.is_empty()).count() as u32,
         stages: watch.stages,
-        warnings,
+        warnings: warnings(frames.len(), &blind),
     };
     let superpoint_of_point = superpoints.of_point;
     Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, embeddings, extent, report })
+}
+
+/// What the one who reads the report should know, given the frames that see no point of the cloud.
+fn warnings(frames: usize, blind: &[String]) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if frames == 0 {
+        warnings.push("the scan has no frames: instances come from geometry and point colour alone and have no pictures".into());
+    }
+    if !blind.is_empty() {
+        warnings.push(format!("{} of {frames} frames see no point of the cloud: {}", blind.len(), shortened(blind)));
+    }
+    warnings
 }
 
 fn shortened(names: &[String]) -> String {

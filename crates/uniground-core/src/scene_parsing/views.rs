@@ -1,9 +1,11 @@
 //! Evidence views: the frames that show an instance best, from different sides (paper: 3).
 
+use super::ParseError;
 use super::appearance::Boxes;
 use crate::geometry::Point3;
 use crate::geometry::statistics::quantile;
-use crate::scene::{Camera, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View};
+use crate::progress::Progress;
+use crate::scene::{Camera, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View, stream_frames};
 use rayon::prelude::*;
 use uniground_types::settings::ViewSettings;
 
@@ -74,6 +76,32 @@ pub fn sightings(
 }
 
 const TRIM: f32 = 0.01;
+
+/// The [`sightings`] of all frames, in order; only their depth is decoded.
+///
+/// # Errors
+/// [`ParseError`]: an unreadable frame, or cancellation.
+pub fn all_sightings(
+    cloud: &PointCloud,
+    instance_of_point: &[InstanceId],
+    frames: &[FrameRef],
+    depth_tolerance: f32,
+    progress: &Progress,
+) -> Result<Vec<Sighting>, ParseError> {
+    let mut all = Vec::new();
+    stream_frames(
+        frames,
+        |frame| {
+            progress.check()?;
+            Ok::<_, ParseError>(sightings(cloud, instance_of_point, frame, &frame.decode_depth()?, depth_tolerance))
+        },
+        |i, seen| {
+            all.extend(seen);
+            Ok(progress.report("views", (i + 1) as f32 / frames.len() as f32)?)
+        },
+    )?;
+    Ok(all)
+}
 
 /// Gives each instance its views: the best first, then the farthest camera centre among those that show it well.
 pub fn choose(instances: &mut [Instance], sightings: Vec<Sighting>, frames: &[FrameRef], settings: &ViewSettings) {

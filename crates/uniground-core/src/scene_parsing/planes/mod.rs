@@ -352,6 +352,7 @@ impl<'a> Scan<'a> {
 mod tests {
     use super::*;
     use crate::scene_parsing::superpoints;
+    use uniground_types::settings::SuperpointSettings;
 
     /// Two corners and a colour; a point every two centimetres, with a shake of a few millimetres.
     fn block(cloud: &mut PointCloud, low: [f32; 3], high: [f32; 3], grey: u8) {
@@ -383,7 +384,7 @@ mod tests {
         }
         block(&mut cloud, [2.5, 0.6, 0.5], [4.0, 2.4, 0.5], 60);
         block(&mut cloud, [0.5, 2.4, 0.0], [2.0, 2.4, 2.0], 90);
-        let superpoints = superpoints::compute(&cloud, &Default::default(), &Progress::silent()).unwrap();
+        let superpoints = superpoints::compute(&cloud, &SuperpointSettings::default(), &Progress::silent()).unwrap();
         let cameras = [Point3::new(1.0, 1.0, 1.5), Point3::new(1.5, 1.5, 1.5), Point3::new(3.0, 1.2, 1.6)];
         let planes = find(&cloud, &superpoints, &cameras, &Progress::silent()).unwrap();
         (cloud, planes, superpoints)
