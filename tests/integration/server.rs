@@ -153,7 +153,7 @@ impl Process {
     }
 }
 
-/// A test that ends early leaves no server behind.
+/// No test leaves a server behind, however it ends.
 impl Drop for Process {
     fn drop(&mut self) {
         let _ = self.child.kill();
