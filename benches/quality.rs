@@ -1,7 +1,8 @@
 //! Stage 1 against annotated rooms: `make bench-quality`, or `cargo bench --bench quality -- [--settings FILE] [--misses] [FOLDER]`.
 //!
-//! The rooms (`room1`, `room2`) lie in `../shared/scenes` where this project is built, or in the folder given. A single run is
-//! a matter of luck to within an object or two, so every figure is also given over several turns of the world about Z.
+//! The rooms (all archives with annotations beside them) lie in `../shared/scenes` where this project is built, or in the folder given. A
+//! single run is a matter of luck to within an object or two, so every figure is also given over several turns of the world about Z. The
+//! ladder tells, step by step, what is still recoverable.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
@@ -9,11 +10,12 @@ use camino::{Utf8Path, Utf8PathBuf};
 use comfy_table::{Table, presets};
 use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground::evaluation::annotations::{Annotations, SceneObject};
-use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_superpoints};
+use uniground::evaluation::ladder;
+use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_structure, score_superpoints};
 use uniground::evaluation::systems::{Names, instances_of};
 use uniground_core::models::attributes::Lexicon;
 use uniground_core::progress::Progress;
-use uniground_core::scene::Instance;
+use uniground_core::scene::{Instance, ParsedScene};
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_core::scene_parsing::masks::MaskSource;
 use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
@@ -48,37 +50,65 @@ fn options() -> Options {
 
 fn main() {
     let Options { folder, settings, misses } = options();
-    if !folder.join("room1.zip").exists() {
+    let rooms = rooms(&folder);
+    if rooms.is_empty() {
         println!("left out: no annotated rooms in {folder}");
         return;
     }
     let mut superpoint_table = table(&["room", "points", "superpoints", "purity", "achievable mIoU"]);
     let mut instance_table =
         table(&["room", "masks", "turned", "instances", "box .25", "box .5", "points .25", "points .5", "AP50", "seconds"]);
+    let mut ladder_table = table(&["room", "masks", "step", "pieces", "box .25", "box .5", "points .25", "points .5"]);
+    let mut structure_table = table(&["room", "masks", "recall", "precision"]);
     let mut naming_table = table(&["room", "boxes: first name", "in five", "instances: first name", "in five"]);
-    for name in ["room1", "room2"] {
+    for name in &rooms {
         let temporary = tempfile::tempdir().unwrap();
         let room = AnnotatedRoom::load(&folder, name, Utf8Path::from_path(temporary.path()).unwrap()).unwrap();
         let found = superpoints::compute(&room.bundle.cloud, &settings.superpoints, &Progress::silent()).unwrap();
-        let score = score_superpoints(&found.of_point, &room.truth);
+        let cut = score_superpoints(&found.of_point, &room.truth);
         superpoint_table.add_row([
             name.to_owned(),
             room.truth.len().to_string(),
-            score.superpoints.to_string(),
-            format!("{:.3}", score.purity),
-            format!("{:.3}", score.achievable_iou),
+            cut.superpoints.to_string(),
+            format!("{:.3}", cut.purity),
+            format!("{:.3}", cut.achievable_iou),
         ]);
         let rgbd = RgbdMasks { settings: settings.rgbd_masks };
         let runs: Vec<_> = TURNS_DEG.iter().map(|&deg| measure(&room.turned(deg), &rgbd, &settings, false)).collect();
-        let (as_is, seconds) = measure(&room, &rgbd, &settings, misses);
+        let parsed = parse(&room, &rgbd, &settings);
+        let structure = score_structure(&parsed.instances, &parsed.instance_of_point, &room.structures(), &room.truth);
+        structure_table.add_row([
+            name.clone(),
+            rgbd.name().to_owned(),
+            format!("{:.3}", structure.recall),
+            format!("{:.3}", structure.precision),
+        ]);
+        let (as_is, seconds) = score(&room, &parsed, rgbd.name(), misses);
         instance_table.add_row(row(name, rgbd.name(), "as is", &as_is, seconds));
         instance_table.add_row(mean_and_range(name, rgbd.name(), &runs));
         naming_table.add_row(naming(&folder, &room, name, &settings));
         let annotated = room.masks();
         let (score, seconds) = measure(&room, &annotated, &settings, misses);
         instance_table.add_row(row(name, annotated.name(), "as is", &score, seconds));
+        for masks in [&rgbd as &dyn MaskSource, &annotated] {
+            for rung in ladder::climb(&room, masks, &settings, MIN_POINTS).unwrap() {
+                let (boxes, points) = rung.recall();
+                let figures = boxes.iter().chain(&points).map(|share| format!("{share:.3}"));
+                let head = [name.clone(), masks.name().to_owned(), rung.step, rung.pieces.to_string()];
+                ladder_table.add_row(head.into_iter().chain(figures));
+            }
+        }
     }
-    println!("{superpoint_table}\n\n{instance_table}\n\n{naming_table}");
+    println!("{superpoint_table}\n\n{instance_table}\n\n{structure_table}\n\n{ladder_table}\n\n{naming_table}");
+}
+
+/// Names of the annotated rooms in a folder, sorted.
+fn rooms(folder: &Utf8Path) -> Vec<String> {
+    let entries = folder.read_dir_utf8().map(|entries| entries.flatten().collect::<Vec<_>>()).unwrap_or_default();
+    let zips = entries.iter().filter_map(|entry| entry.file_name().strip_suffix(".zip"));
+    let mut names: Vec<String> = zips.filter(|name| Annotations::file_of(folder, name).is_some()).map(str::to_owned).collect();
+    names.sort_unstable();
+    names
 }
 
 /// Share of objects whose annotated name is the first, or among the kept, of the names the encoder gives: on their annotated boxes,
@@ -86,9 +116,7 @@ fn main() {
 fn naming(folder: &Utf8Path, room: &AnnotatedRoom, name: &str, settings: &ParsingSettings) -> Vec<String> {
     let (annotations, _) = Annotations::read(&Annotations::file_of(folder, name).unwrap());
     let rgbd = RgbdMasks { settings: settings.rgbd_masks };
-    let parsed =
-        scene_parsing::parse(room.bundle.clone(), &Perception::with_masks(&rgbd), settings, &Checkpoints::none(), &Progress::silent())
-            .unwrap();
+    let parsed = parse(room, &rgbd, settings);
     let known = |name: &str| Lexicon::get().find(name).map(|noun| noun.name.clone());
     let objects = || annotations.objects.iter().filter(|o| o.structure().is_none() && known(&o.name).is_some());
     let boxed = instances_of(&annotations, &room.bundle.cloud, Names::Encoder);
@@ -110,21 +138,19 @@ fn table(header: &[&str]) -> Table {
     table
 }
 
+fn parse(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSettings) -> ParsedScene {
+    scene_parsing::parse(room.bundle.clone(), &Perception::with_masks(masks), settings, &Checkpoints::none(), &Progress::silent()).unwrap()
+}
+
 fn measure(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSettings, misses: bool) -> (InstanceScore, f32) {
-    let parsed =
-        scene_parsing::parse(room.bundle.clone(), &Perception::with_masks(masks), settings, &Checkpoints::none(), &Progress::silent())
-            .unwrap();
+    score(room, &parse(room, masks, settings), masks.name(), misses)
+}
+
+fn score(room: &AnnotatedRoom, parsed: &ParsedScene, masks: &str, misses: bool) -> (InstanceScore, f32) {
     let objects = room.objects(MIN_POINTS);
-    let score = score_instances(&parsed, &objects, &room.truth);
+    let score = score_instances(&parsed.instances, &parsed.instance_of_point, &objects, &room.truth);
     for (i, object) in objects.iter().enumerate().filter(|(i, _)| misses && score.box_iou[*i] < 0.5) {
-        println!(
-            "{} {:>3} {:<18} box {:.2} points {:.2}",
-            masks.name(),
-            object.id,
-            object.name,
-            score.box_iou[i],
-            score.point_iou[i]
-        );
+        println!("{} {:>3} {:<18} box {:.2} points {:.2}", masks, object.id, object.name, score.box_iou[i], score.point_iou[i]);
     }
     (score, parsed.report.stages.iter().map(|s| s.seconds).sum())
 }

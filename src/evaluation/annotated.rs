@@ -6,6 +6,7 @@ use super::segmentation::AnnotatedObject;
 use anyhow::{Context, ensure};
 use camino::Utf8Path;
 use nalgebra::UnitQuaternion;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::geometry::voxels::{VoxelKey, VoxelMap};
@@ -13,7 +14,7 @@ use uniground_core::geometry::{Point3, Vector3};
 use uniground_core::ingest;
 use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use uniground_core::progress::Progress;
-use uniground_core::scene::{Frame, PointCloud, SceneBundle};
+use uniground_core::scene::{Frame, PointCloud, SceneBundle, Structure};
 use uniground_core::scene_parsing::ParseError;
 use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
 use uniground_types::settings::ImportSettings;
@@ -53,6 +54,12 @@ impl AnnotatedRoom {
         }
         let around = |id: u32| Aabb::around(self.bundle.cloud.positions.iter().zip(&self.truth).filter(|(_, t)| **t == id).map(|(p, _)| p));
         objects.into_iter().filter_map(|o| Some(AnnotatedObject { aabb: around(o.id)?, ..o })).collect()
+    }
+
+    /// Annotated ids that are floor, wall or ceiling.
+    #[must_use]
+    pub fn structures(&self) -> BTreeMap<u32, Structure> {
+        self.annotations.objects.iter().filter_map(|o| Some((o.id, o.structure()?))).collect()
     }
 
     /// The annotations as a source of 2D masks, for the world as it was annotated: not after [`turned`](Self::turned).

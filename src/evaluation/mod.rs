@@ -8,6 +8,7 @@ pub mod annotations;
 pub mod comparison;
 pub mod configuration;
 pub mod digest;
+pub mod ladder;
 pub mod measures;
 pub mod pictures;
 pub mod records;

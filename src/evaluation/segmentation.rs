@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::scene::{Instance, InstanceId, ParsedScene};
+use uniground_core::scene::{Instance, InstanceId, Structure};
 
 /// The two IoU thresholds the field quotes.
 pub const IOU_THRESHOLDS: [f32; 2] = [0.25, 0.5];
@@ -87,30 +87,53 @@ impl InstanceScore {
     }
 }
 
+/// How well the building is told from the things in it, by points.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct StructureScore {
+    /// Share of the points annotated as floor, wall or ceiling that lie in an instance of that kind.
+    pub recall: f32,
+    /// Share of the points in structural instances that are annotated as structure.
+    pub precision: f32,
+}
+
+/// Scores structural flags. `kinds` has the annotated ids that are structure, `truth` the annotated id of each point.
+#[must_use]
+pub fn score_structure(instances: &[Instance], of_point: &[InstanceId], kinds: &BTreeMap<u32, Structure>, truth: &[u32]) -> StructureScore {
+    let (mut annotated, mut flagged, mut right, mut hit) = (0_u32, 0_u32, 0_u32, 0_u32);
+    for (instance, id) in of_point.iter().zip(truth) {
+        let (found, kind) = (instances[instance.0 as usize - 1].structure, kinds.get(id).copied());
+        annotated += u32::from(kind.is_some());
+        flagged += u32::from(found.is_some());
+        right += u32::from(kind.is_some() && found == kind);
+        hit += u32::from(kind.is_some() && found.is_some());
+    }
+    StructureScore { recall: right as f32 / annotated.max(1) as f32, precision: hit as f32 / flagged.max(1) as f32 }
+}
+
 /// Share of `ious` at or above each threshold.
-fn recall(ious: &[f32]) -> [f32; 2] {
+pub(super) fn recall(ious: &[f32]) -> [f32; 2] {
     IOU_THRESHOLDS.map(|at| ious.iter().filter(|iou| **iou >= at).count() as f32 / ious.len().max(1) as f32)
 }
 
-/// Scores a parse. `truth` has the annotated id of each of its points, 0 = none.
+/// Scores instances, given in order of id with the instance of each point. `truth` has the annotated id of each point, 0 = none.
 ///
 /// # Panics
 /// When `truth` does not have one id per point.
 #[must_use]
-pub fn score_instances(scene: &ParsedScene, objects: &[AnnotatedObject], truth: &[u32]) -> InstanceScore {
-    assert_eq!(scene.instance_of_point.len(), truth.len(), "one annotation per point");
+pub fn score_instances(instances: &[Instance], of_point: &[InstanceId], objects: &[AnnotatedObject], truth: &[u32]) -> InstanceScore {
+    assert_eq!(of_point.len(), truth.len(), "one annotation per point");
     let mut shared: BTreeMap<(InstanceId, u32), u64> = BTreeMap::new();
     let mut annotated: BTreeMap<u32, u64> = BTreeMap::new();
-    for (&instance, &id) in scene.instance_of_point.iter().zip(truth) {
+    for (&instance, &id) in of_point.iter().zip(truth) {
         *shared.entry((instance, id)).or_default() += 1;
         *annotated.entry(id).or_default() += 1;
     }
     let iou = |instance: InstanceId, object: u32| {
         let both = shared.get(&(instance, object)).copied().unwrap_or(0);
-        let all = u64::from(scene.instances[instance.0 as usize - 1].point_count) + annotated.get(&object).copied().unwrap_or(0);
+        let all = u64::from(instances[instance.0 as usize - 1].point_count) + annotated.get(&object).copied().unwrap_or(0);
         both as f32 / (all - both).max(1) as f32
     };
-    let best = |of: &dyn Fn(&Instance) -> f32| scene.instances.iter().map(of).fold(0.0, f32::max);
+    let best = |of: &dyn Fn(&Instance) -> f32| instances.iter().map(of).fold(0.0, f32::max);
     let box_iou = objects.iter().map(|o| best(&|i| i.aabb.iou(&o.aabb))).collect();
     let point_iou = objects.iter().map(|o| best(&|i| iou(i.id, o.id))).collect();
 
@@ -118,7 +141,7 @@ pub fn score_instances(scene: &ParsedScene, objects: &[AnnotatedObject], truth: 
     let wanted: BTreeMap<u32, usize> = objects.iter().enumerate().map(|(i, o)| (o.id, i)).collect();
     let mut found = vec![false; objects.len()];
     let mut hits = Vec::new();
-    for instance in &scene.instances {
+    for instance in instances {
         let overlaps = shared.range((instance.id, 0)..=(instance.id, u32::MAX));
         let Some((&(_, majority), _)) = overlaps.max_by_key(|&(&(_, id), &n)| (n, std::cmp::Reverse(id))) else { continue };
         let Some(&object) = wanted.get(&majority) else { continue };
@@ -126,13 +149,7 @@ pub fn score_instances(scene: &ParsedScene, objects: &[AnnotatedObject], truth: 
         found[object] |= hit;
         hits.push(hit);
     }
-    InstanceScore {
-        objects: objects.len(),
-        instances: scene.instances.len(),
-        box_iou,
-        point_iou,
-        ap50: average_precision(&hits, objects.len()),
-    }
+    InstanceScore { objects: objects.len(), instances: instances.len(), box_iou, point_iou, ap50: average_precision(&hits, objects.len()) }
 }
 
 /// Area under the precision-recall curve, precision made monotone from the right (Pascal VOC 2010 and later).

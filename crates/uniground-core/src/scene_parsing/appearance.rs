@@ -2,10 +2,10 @@
 
 use super::ParseError;
 use super::correction::{Corrector, Projection};
-use super::views::{Sighting, sightings, visible_pixels};
+use super::views::{Sighting, all_sightings, visible_pixels};
 use crate::models::neural::DualEncoder;
 use crate::progress::Progress;
-use crate::scene::{Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, stream_frames};
+use crate::scene::{FrameIndex, FrameRef, Instance, InstanceId, PointCloud, stream_frames};
 use image::{RgbImage, imageops};
 use std::collections::BTreeMap;
 use uniground_types::settings::AppearanceSettings;
@@ -67,9 +67,9 @@ pub fn look(
             let mut seen = projected[&frame.index].clone();
             let picture = match corrector {
                 Some(corrector) => {
-                    let frame = frame.decode()?;
-                    correct(&frame, labelled, corrector, &mut seen, progress)?;
-                    frame.colour
+                    let picture = frame.decode_colour()?;
+                    correct(frame, &picture, labelled, corrector, &mut seen, progress)?;
+                    picture
                 }
                 None => frame.decode_colour()?,
             };
@@ -102,37 +102,32 @@ pub fn of_known(
     encoder: &DualEncoder,
     settings: &AppearanceSettings,
 ) -> Result<Vec<f32>, ParseError> {
-    let mut seen = Vec::new();
-    stream_frames(
-        frames,
-        |frame| Ok::<_, ParseError>(sightings(labelled.cloud, labelled.instance_of_point, &frame.decode()?, labelled.depth_tolerance)),
-        |_, of_frame| {
-            seen.extend(of_frame);
-            Ok(())
-        },
-    )?;
+    let quiet = Progress::silent();
+    let seen = all_sightings(labelled.cloud, labelled.instance_of_point, frames, labelled.depth_tolerance, &quiet)?;
     let boxes = choose(instances, &seen, settings);
-    Ok(look(frames, instances, boxes, labelled, (None, Some(encoder)), settings, &Progress::silent())?.0)
+    Ok(look(frames, instances, boxes, labelled, (None, Some(encoder)), settings, &quiet)?.0)
 }
 
 /// Replaces projected boxes by those of masks that agree with them.
 fn correct(
-    frame: &Frame,
+    frame: &FrameRef,
+    picture: &RgbImage,
     labelled: Labelled,
     corrector: &Corrector,
     boxes: &mut BTreeMap<InstanceId, [u32; 4]>,
     progress: &Progress,
 ) -> Result<(), ParseError> {
-    let encoded = corrector.frames.of(frame.index, &frame.colour)?;
+    let encoded = corrector.frames.of(frame.index, picture)?;
     corrector.frames.forget(frame.index);
-    let pixels = visible_pixels(labelled.cloud, labelled.instance_of_point, frame, labelled.depth_tolerance);
+    let depth = frame.decode_depth()?;
+    let pixels = visible_pixels(labelled.cloud, labelled.instance_of_point, frame, &depth, labelled.depth_tolerance);
     for of_instance in pixels.chunk_by(|a, b| a.0 == b.0) {
         progress.check()?;
         let instance = of_instance[0].0;
         let Some(tight) = boxes.get_mut(&instance) else { continue };
         let pixels: Vec<(f32, f32)> = of_instance.iter().map(|(_, u, v)| (*u, *v)).collect();
         let projection = Projection { instance, frame: frame.index, pixels: &pixels };
-        if let Some(corrected) = corrector.tight_box(&encoded, &projection, frame.colour.dimensions())? {
+        if let Some(corrected) = corrector.tight_box(&encoded, &projection, picture.dimensions())? {
             *tight = corrected;
         }
     }

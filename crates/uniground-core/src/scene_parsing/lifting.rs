@@ -5,7 +5,7 @@
 
 use super::ParseError;
 use super::checkpoints::Log;
-use super::masks::{IdImage, MaskSource};
+use super::masks::{IdImage, IdRuns, MaskSource};
 use crate::progress::Progress;
 use crate::scene::{Frame, FrameIndex, FrameRef, PointCloud, stream_frames};
 use rayon::prelude::*;
@@ -45,20 +45,24 @@ pub struct Lifting<'a> {
     pub depth_tolerance: f32,
 }
 
+/// What a frame sees of each superpoint, and its masks themselves.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Lifted {
+    /// By superpoint.
+    pub table: FrameVisibility,
+    /// By pixel.
+    pub masks: IdRuns,
+}
+
 impl Lifting<'_> {
-    /// The tables of all frames, in order. Frames kept in `log` are not looked at again; the flag tells whether that was all.
+    /// All frames, in order. Frames kept in `log` are not looked at again; the flag tells whether that was all.
     ///
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or cancellation.
-    pub fn all(
-        &self,
-        frames: &[FrameRef],
-        mut log: Log<FrameVisibility>,
-        progress: &Progress,
-    ) -> Result<(Vec<FrameVisibility>, bool), ParseError> {
-        let mut tables = log.kept();
-        let kept = tables.iter().zip(frames).take_while(|(table, frame)| table.frame == frame.index).count();
-        tables.truncate(kept);
+    pub fn all(&self, frames: &[FrameRef], mut log: Log<Lifted>, progress: &Progress) -> Result<(Vec<Lifted>, bool), ParseError> {
+        let mut lifted = log.kept();
+        let kept = lifted.iter().zip(frames).take_while(|(lifted, frame)| lifted.table.frame == frame.index).count();
+        lifted.truncate(kept);
         log.forget_after(kept);
         stream_frames(
             &frames[kept..],
@@ -66,15 +70,16 @@ impl Lifting<'_> {
                 progress.check()?;
                 let frame = frame.decode()?;
                 let ids = self.masks.masks(&frame, progress)?;
-                Ok::<_, ParseError>(lift(self.cloud, self.superpoint_of_point, &frame, &ids, self.depth_tolerance))
+                let table = lift(self.cloud, self.superpoint_of_point, &frame, &ids, self.depth_tolerance);
+                Ok::<_, ParseError>(Lifted { table, masks: IdRuns::of(&ids) })
             },
-            |i, table| {
-                log.append(&table);
-                tables.push(table);
+            |i, frame| {
+                log.append(&frame);
+                lifted.push(frame);
                 Ok(progress.report("masks_and_lifting", (kept + i + 1) as f32 / frames.len() as f32)?)
             },
         )?;
-        Ok((tables, kept > 0 && kept == frames.len()))
+        Ok((lifted, kept > 0 && kept == frames.len()))
     }
 }
 

@@ -2,41 +2,80 @@
 
 use super::affinity::{self, Edge};
 use super::lifting::{FrameVisibility, coarsen};
+use super::planes::Planes;
 use super::superpoints::{Patch, Superpoints, relabelled};
 use crate::geometry::union_find::UnionFind;
 use crate::progress::{Cancelled, Progress};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::collections::{BTreeMap, VecDeque};
 use uniground_types::settings::MergeSettings;
 
-/// Merges superpoints into regions; returns the region `0..n` of each superpoint.
+/// Regions of superpoints, level by level, each made of whole regions of the one before.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Regions {
+    /// Region `0..n` of each superpoint: after every stage, and at last with the small ones absorbed.
+    pub levels: Vec<Vec<u32>>,
+}
+
+impl Regions {
+    /// The coarsest level.
+    #[must_use]
+    pub fn last(&self) -> &[u32] {
+        self.levels.last().map_or(&[], Vec::as_slice)
+    }
+}
+
+/// Merges superpoints into regions.
 ///
 /// # Errors
 /// [`Cancelled`].
 pub fn merge(
     superpoints: &Superpoints,
+    planes: &Planes,
     tables: Vec<FrameVisibility>,
     settings: &MergeSettings,
     progress: &Progress,
-) -> Result<Vec<u32>, Cancelled> {
+) -> Result<Regions, Cancelled> {
     let mut region_of: Vec<u32> = (0..superpoints.patches.len() as u32).collect();
-    let mut graph = Graph { patches: superpoints.patches.clone(), adjacent: superpoints.adjacent.clone(), tables };
+    let mut levels = Vec::new();
+    let plane_of = planes.of_superpoint.clone();
+    let mut graph = Graph { patches: superpoints.patches.clone(), adjacent: superpoints.adjacent.clone(), plane_of, tables };
     for (stage, &threshold) in settings.thresholds.iter().enumerate() {
         progress.report("merge", stage as f32 / settings.thresholds.len() as f32)?;
-        let edges = graph.edges(settings, progress)?;
+        let mut edges = graph.edges(settings, progress)?;
+        if settings.keep_planes_apart {
+            edges.retain(|edge| graph.plane_of[edge.a as usize] == graph.plane_of[edge.b as usize]);
+        }
         let grown = grow(&graph.patches, &edges, threshold, settings.hop_decay, progress)?;
         region_of.iter_mut().for_each(|r| *r = grown[*r as usize]);
         graph = graph.coarsened(&grown);
+        levels.push(region_of.clone());
+    }
+    if settings.keep_planes_apart {
+        let whole = planes.with_patches(superpoints, &region_of);
+        let patched = relation(&region_of, &whole);
+        graph = graph.coarsened(&patched);
+        region_of = whole;
     }
     let absorbed = absorb_small(&graph.patches, &graph.edges(settings, progress)?, settings.min_points);
     region_of.iter_mut().for_each(|r| *r = absorbed[*r as usize]);
-    Ok(region_of)
+    levels.push(region_of);
+    Ok(Regions { levels })
+}
+
+/// The label in `coarse` of each label `0..n` in `fine`, of which `coarse` is made.
+fn relation(fine: &[u32], coarse: &[u32]) -> Vec<u32> {
+    let mut of = vec![0; fine.iter().max().map_or(0, |&r| r as usize + 1)];
+    fine.iter().zip(coarse).for_each(|(&fine, &coarse)| of[fine as usize] = coarse);
+    of
 }
 
 /// The primitives of one stage.
 struct Graph {
     patches: Vec<Patch>,
     adjacent: Vec<(u32, u32)>,
+    plane_of: Vec<Option<u32>>,
     tables: Vec<FrameVisibility>,
 }
 
@@ -52,6 +91,11 @@ impl Graph {
         Self {
             patches: Patch::joined(&self.patches, region_of, count),
             adjacent: relabelled(&self.adjacent, region_of),
+            plane_of: {
+                let mut plane_of = vec![None; count];
+                region_of.iter().zip(&self.plane_of).for_each(|(&region, plane)| plane_of[region as usize] = *plane);
+                plane_of
+            },
             tables: self.tables.par_iter().map(|table| coarsen(table, region_of)).collect(),
         }
     }

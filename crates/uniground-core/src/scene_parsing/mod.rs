@@ -1,10 +1,10 @@
 //! Stage 1, Global Candidate Filtering: a [`SceneBundle`] to a [`ParsedScene`] (paper, section 3.2; docs/METHOD.md, section 1).
 //!
 //! ```text
-//! cloud  -> superpoints ─┐
-//! frames -> masks -> lifting -> affinity -> merging -> part merging -> instances -> views -> appearance -> names
+//! cloud  -> superpoints -> planes ─┐
+//! frames -> masks -> lifting -> affinity -> merging -> part merging -> refinement -> instances -> views -> appearance -> names
 //! ```
-//! Frames pass twice, decoded a few at a time: once for masks and lifting, once for the views; where networks take part, the chosen
+//! Frames pass three times, decoded a few at a time: for masks and lifting, and their depth for refinement and for the views; where networks take part, the chosen
 //! views pass once more. Same input and settings give the same instances, whatever the number of threads.
 
 pub mod affinity;
@@ -12,12 +12,14 @@ pub mod appearance;
 pub mod checkpoints;
 pub mod correction;
 pub mod evidence;
-mod frame_sampling;
+pub mod frame_sampling;
 pub mod instances;
 pub mod lifting;
 pub mod masks;
 pub mod merging;
 pub mod part_merging;
+pub mod planes;
+pub mod refinement;
 pub mod report_pictures;
 mod stopwatch;
 pub mod superpoints;
@@ -27,7 +29,7 @@ use crate::geometry::boxes::Aabb;
 use crate::models::neural::{DualEncoder, ModelError};
 use crate::models::{attributes, calibration};
 use crate::progress::{Cancelled, Progress};
-use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle, stream_frames};
+use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle};
 use appearance::Labelled;
 use checkpoints::Checkpoints;
 use correction::Corrector;
@@ -74,13 +76,13 @@ impl<'a> Perception<'a> {
         self.corrector.is_some() || self.encoder.is_some()
     }
 
-    /// Where stages end, as shares of the whole: superpoints, masks, merging, part merging, instances, views; appearance comes last and
-    /// ends at 1. Where networks take part they take nearly all of the time. The time left is estimated from these.
-    fn ends(&self) -> [f32; 6] {
+    /// Where stages end, as shares of the whole: superpoints, planes, masks, merging, part merging, refinement, instances, views; appearance
+    /// comes last and ends at 1. Where networks take part they take nearly all of the time. The time left is estimated from these.
+    fn ends(&self) -> [f32; 8] {
         match (self.corrector.is_some(), self.encoder.is_some()) {
-            (false, false) => [0.35, 0.75, 0.83, 0.85, 0.88, 1.0],
-            (false, true) => [0.07, 0.15, 0.17, 0.175, 0.18, 0.2],
-            (true, _) => [0.01, 0.7, 0.705, 0.71, 0.715, 0.72],
+            (false, false) => [0.3, 0.35, 0.72, 0.79, 0.81, 0.88, 0.9, 1.0],
+            (false, true) => [0.06, 0.07, 0.15, 0.165, 0.17, 0.18, 0.185, 0.2],
+            (true, _) => [0.01, 0.011, 0.7, 0.705, 0.708, 0.713, 0.715, 0.72],
         }
     }
 }
@@ -108,48 +110,55 @@ pub fn parse(
         *outcome = StageOutcome { produced: superpoints.patches.len(), reused };
         Ok::<_, ParseError>(superpoints)
     })?;
+    let planes = watch.time("planes", |outcome| {
+        let cameras: Vec<_> = frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
+        let planes = planes::find(&cloud, &superpoints, &cameras, &progress.part(ends[0], ends[1]))?;
+        outcome.produced = planes.planes.len();
+        Ok::<_, ParseError>(planes)
+    })?;
     let masks = perception.masks;
     let mask_settings = (masks.name(), &settings.rgbd_masks, &settings.sam_masks);
     let lifted_with = (&settings.superpoints, &settings.frame_sampling, mask_settings, settings.depth_tolerance);
-    let tables = watch.time("masks_and_lifting", |outcome| {
+    let lifted = watch.time("masks_and_lifting", |outcome| {
         let lifting =
             Lifting { cloud: &cloud, superpoint_of_point: &superpoints.of_point, masks, depth_tolerance: settings.depth_tolerance };
-        let (tables, reused) = lifting.all(&frames, checkpoints.log("lifting", &lifted_with), &progress.part(ends[0], ends[1]))?;
-        *outcome = StageOutcome { produced: tables.iter().map(|t| t.masks as usize).sum(), reused };
-        Ok::<_, ParseError>(tables)
+        let (lifted, reused) = lifting.all(&frames, checkpoints.log("lifting", &lifted_with), &progress.part(ends[1], ends[2]))?;
+        *outcome = StageOutcome { produced: lifted.iter().map(|l| l.table.masks as usize).sum(), reused };
+        Ok::<_, ParseError>(lifted)
     })?;
+    let (tables, mask_runs): (Vec<_>, Vec<_>) = lifted.into_iter().map(|l| (l.table, l.masks)).unzip();
     let blind: Vec<String> = tables.iter().filter(|t| t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
-    let region_of = watch.time("merging", |outcome| {
-        let compute = || merging::merge(&superpoints, tables, &settings.merging, &progress.part(ends[1], ends[2]));
-        let (region_of, reused) = checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
-        *outcome = StageOutcome { produced: count(&region_of), reused };
-        Ok::<_, ParseError>(region_of)
+    let regions = watch.time("merging", |outcome| {
+        let compute = || merging::merge(&superpoints, &planes, tables, &settings.merging, &progress.part(ends[2], ends[3]));
+        let (regions, reused) = checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
+        *outcome = StageOutcome { produced: count(regions.last()), reused };
+        Ok::<_, ParseError>(regions)
     })?;
     let region_of = watch.time("part_merging", |outcome| {
-        let joined = part_merging::join(&cloud, &superpoints, region_of, &settings.part_merging, &progress.part(ends[2], ends[3]))?;
+        let joined =
+            part_merging::join(&cloud, &superpoints, regions.last().to_vec(), &settings.part_merging, &progress.part(ends[3], ends[4]))?;
         outcome.produced = count(&joined);
         Ok::<_, ParseError>(joined)
     })?;
+    let region_of = superpoints.spread(&region_of);
+    let region_of = match settings.refine_borders {
+        false => region_of,
+        true => watch.time("refinement", |outcome| {
+            let refining = progress.part(ends[4], ends[5]);
+            let refined = refinement::refine(&cloud, region_of, &frames, &mask_runs, settings.depth_tolerance, &refining)?;
+            outcome.produced = count(&refined);
+            Ok::<_, ParseError>(refined)
+        })?,
+    };
     let (mut instances, instance_of_point) = watch.time("instances", |outcome| {
-        let built = instances::build(&cloud, &superpoints, &region_of, &settings.instances, &progress.part(ends[3], ends[4]))?;
+        let built = instances::build(&cloud, &superpoints, &planes, &region_of, &settings.instances, &progress.part(ends[5], ends[6]))?;
         outcome.produced = built.0.len();
         Ok::<_, ParseError>(built)
     })?;
 
-    let viewing = progress.part(ends[4], ends[5]);
     let sightings = watch.time("views", |outcome| {
-        let mut sightings = Vec::new();
-        stream_frames(
-            &frames,
-            |frame| {
-                viewing.check()?;
-                Ok::<_, ParseError>(views::sightings(&cloud, &instance_of_point, &frame.decode()?, settings.depth_tolerance))
-            },
-            |i, seen| {
-                sightings.extend(seen);
-                Ok(viewing.report("views", (i + 1) as f32 / frames.len() as f32)?)
-            },
-        )?;
+        let viewing = progress.part(ends[6], ends[7]);
+        let sightings = views::all_sightings(&cloud, &instance_of_point, &frames, settings.depth_tolerance, &viewing)?;
         outcome.produced = sightings.len();
         Ok::<_, ParseError>(sightings)
     })?;
@@ -159,7 +168,7 @@ pub fn parse(
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
             let labelled = Labelled { cloud: &cloud, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
-            let looking = progress.part(ends[5], 1.0);
+            let looking = progress.part(ends[7], 1.0);
             let (rows, boxes) = appearance::look(
                 &frames,
                 &instances,
@@ -180,13 +189,6 @@ pub fn parse(
         .map(|encoder| calibration::name_all(&mut instances, encoder, &rows))
         .transpose()?;
 
-    let mut warnings = Vec::new();
-    if frames.is_empty() {
-        warnings.push("the scan has no frames: instances come from geometry and point colour alone and have no pictures".into());
-    }
-    if !blind.is_empty() {
-        warnings.push(format!("{} of {} frames see no point of the cloud: {}", blind.len(), frames.len(), shortened(&blind)));
-    }
     let report = ParseReport {
         points: cloud.len() as u64,
         frames_used: frames.len() as u32,
@@ -195,10 +197,22 @@ pub fn parse(
         structural: instances.iter().filter(|i| i.structure.is_some()).count() as u32,
         without_views: instances.iter().filter(|i| i.views.is_empty()).count() as u32,
         stages: watch.stages,
-        warnings,
+        warnings: warnings(frames.len(), &blind),
     };
     let superpoint_of_point = superpoints.of_point;
     Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, embeddings, extent, report })
+}
+
+/// What the one who reads the report should know, given the frames that see no point of the cloud.
+fn warnings(frames: usize, blind: &[String]) -> Vec<String> {
+    let mut warnings = Vec::new();
+    if frames == 0 {
+        warnings.push("the scan has no frames: instances come from geometry and point colour alone and have no pictures".into());
+    }
+    if !blind.is_empty() {
+        warnings.push(format!("{} of {frames} frames see no point of the cloud: {}", blind.len(), shortened(blind)));
+    }
+    warnings
 }
 
 fn shortened(names: &[String]) -> String {

@@ -1,9 +1,11 @@
 //! Evidence views: the frames that show an instance best, from different sides (paper: 3).
 
+use super::ParseError;
 use super::appearance::Boxes;
 use crate::geometry::Point3;
 use crate::geometry::statistics::quantile;
-use crate::scene::{Camera, Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View};
+use crate::progress::Progress;
+use crate::scene::{Camera, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View, stream_frames};
 use rayon::prelude::*;
 use uniground_types::settings::ViewSettings;
 
@@ -21,19 +23,21 @@ pub struct Sighting {
 pub fn visible_pixels(
     cloud: &PointCloud,
     instance_of_point: &[InstanceId],
-    frame: &Frame,
+    frame: &FrameRef,
+    depth: &DepthImage,
     depth_tolerance: f32,
 ) -> Vec<(InstanceId, f32, f32)> {
+    let (depth_camera, colour_camera) = (frame.depth_camera(), frame.colour_camera());
     let mut hits: Vec<(InstanceId, f32, f32)> = cloud
         .positions
         .par_iter()
         .with_min_len(1 << 14)
         .zip(instance_of_point)
         .filter_map(|(p, &instance)| {
-            let seen = frame.depth_camera.project(p)?;
-            let depth_m = frame.depth.at(seen.cell());
+            let seen = depth_camera.project(p)?;
+            let depth_m = depth.at(seen.cell());
             let visible = depth_m > 0.0 && (seen.z_m - depth_m).abs() <= depth_tolerance * depth_m;
-            let pixel = visible.then(|| frame.colour_camera.project(p)).flatten()?;
+            let pixel = visible.then(|| colour_camera.project(p)).flatten()?;
             Some((instance, pixel.u, pixel.v))
         })
         .collect();
@@ -45,9 +49,15 @@ pub fn visible_pixels(
 ///
 /// The box in the picture is robust: the outermost 1 % of the visible points at each side are left out.
 #[must_use]
-pub fn sightings(cloud: &PointCloud, instance_of_point: &[InstanceId], frame: &Frame, depth_tolerance: f32) -> Vec<Sighting> {
-    let hits = visible_pixels(cloud, instance_of_point, frame, depth_tolerance);
-    let (width, height) = frame.colour.dimensions();
+pub fn sightings(
+    cloud: &PointCloud,
+    instance_of_point: &[InstanceId],
+    frame: &FrameRef,
+    depth: &DepthImage,
+    depth_tolerance: f32,
+) -> Vec<Sighting> {
+    let hits = visible_pixels(cloud, instance_of_point, frame, depth, depth_tolerance);
+    let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
     hits.chunk_by(|a, b| a.0 == b.0)
         .map(|hits| {
             let bound =
@@ -66,6 +76,32 @@ pub fn sightings(cloud: &PointCloud, instance_of_point: &[InstanceId], frame: &F
 }
 
 const TRIM: f32 = 0.01;
+
+/// The [`sightings`] of all frames, in order; only their depth is decoded.
+///
+/// # Errors
+/// [`ParseError`]: an unreadable frame, or cancellation.
+pub fn all_sightings(
+    cloud: &PointCloud,
+    instance_of_point: &[InstanceId],
+    frames: &[FrameRef],
+    depth_tolerance: f32,
+    progress: &Progress,
+) -> Result<Vec<Sighting>, ParseError> {
+    let mut all = Vec::new();
+    stream_frames(
+        frames,
+        |frame| {
+            progress.check()?;
+            Ok::<_, ParseError>(sightings(cloud, instance_of_point, frame, &frame.decode_depth()?, depth_tolerance))
+        },
+        |i, seen| {
+            all.extend(seen);
+            Ok(progress.report("views", (i + 1) as f32 / frames.len() as f32)?)
+        },
+    )?;
+    Ok(all)
+}
 
 /// Gives each instance its views: the best first, then the farthest camera centre among those that show it well.
 pub fn choose(instances: &mut [Instance], sightings: Vec<Sighting>, frames: &[FrameRef], settings: &ViewSettings) {

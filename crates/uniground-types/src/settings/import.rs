@@ -3,16 +3,19 @@
 use crate::geometry::up_axis::UpAxis;
 use serde::{Deserialize, Serialize};
 
-/// How a cloud is fused from depth pictures.
+/// How a cloud is fused from depth pictures: a truncated signed distance volume.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct FusionSettings {
-    /// Edge of the voxels points are averaged in, metres.
+    /// Edge of the voxels, metres; points come out about as far apart.
     pub voxel_m: f32,
+    /// Distances are kept this many voxels to either side of a surface. More survives more noise, less keeps thin things apart.
+    pub truncation_voxels: f32,
     /// Depth beyond this is not fused, metres: consumer sensors are noise out there.
     pub max_depth_m: f32,
-    /// A voxel becomes a point when it holds at least this share of the mean number of measurements: thin ones are mostly noise.
+    /// A place becomes a point when it was seen by at least this share of the frames that see a place on average: what hardly anybody saw
+    /// is mostly noise.
     pub min_share_of_mean: f32,
     /// A pixel whose depth differs from a neighbour's by more than this share lies on a silhouette, where sensors smear.
     pub silhouette_tolerance: f32,
@@ -20,7 +23,15 @@ pub struct FusionSettings {
 
 impl Default for FusionSettings {
     fn default() -> Self {
-        Self { voxel_m: 0.02, max_depth_m: 8.0, min_share_of_mean: 0.25, silhouette_tolerance: 0.05 }
+        Self { voxel_m: 0.018, truncation_voxels: 5.0, max_depth_m: 8.0, min_share_of_mean: 0.25, silhouette_tolerance: 0.05 }
+    }
+}
+
+impl FusionSettings {
+    /// Distances are kept this far to either side of a surface, metres.
+    #[must_use]
+    pub fn truncation_m(&self) -> f32 {
+        self.truncation_voxels * self.voxel_m
     }
 }
 

@@ -28,6 +28,9 @@ pub struct MergeSettings {
     pub min_points: u32,
     /// How Eq. (1) averages over frames.
     pub normalisation: Normalisation,
+    /// Superpoints on different planes of the building, or on one and before it, are never joined, and small patches of a plane return to
+    /// it. Not in the paper.
+    pub keep_planes_apart: bool,
 }
 
 impl Default for MergeSettings {
@@ -38,6 +41,7 @@ impl Default for MergeSettings {
             hop_decay: 0.5,
             min_points: 50,
             normalisation: Normalisation::Normalised,
+            keep_planes_apart: true,
         }
     }
 }

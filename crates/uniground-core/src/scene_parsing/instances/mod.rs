@@ -8,16 +8,18 @@ use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::colour::ColourHistogram;
 use crate::geometry::least_axis::least_axis;
 use crate::geometry::moments::Moments;
-use crate::geometry::statistics::median;
+use crate::geometry::statistics::{median, quantile};
 use crate::geometry::{Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{Instance, InstanceId, PointCloud};
+use crate::scene_parsing::planes::Planes;
 use crate::scene_parsing::superpoints::Superpoints;
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 pub use support::supports;
 use uniground_types::settings::InstanceSettings;
 
-/// Builds instances from the region of each superpoint. Returns them in order of id and the instance of each point.
+/// Builds instances from the region of each point. Returns them in order of id and the instance of each point.
 ///
 /// Ids count from 1 in falling order of points; ties by the region's first point.
 ///
@@ -26,6 +28,7 @@ use uniground_types::settings::InstanceSettings;
 pub fn build(
     cloud: &PointCloud,
     superpoints: &Superpoints,
+    planes: &Planes,
     region_of: &[u32],
     settings: &InstanceSettings,
     progress: &Progress,
@@ -33,8 +36,8 @@ pub fn build(
     progress.report("instances", 0.0)?;
     let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
     let mut members: Vec<Vec<u32>> = vec![Vec::new(); count];
-    for (i, &superpoint) in superpoints.of_point.iter().enumerate() {
-        members[region_of[superpoint as usize] as usize].push(i as u32);
+    for (i, &region) in region_of.iter().enumerate() {
+        members[region as usize].push(i as u32);
     }
     members.retain(|points| !points.is_empty());
     members.sort_by_key(|points| (std::cmp::Reverse(points.len()), points[0]));
@@ -47,9 +50,21 @@ pub fn build(
         .par_iter()
         .map(|points| progress.check().map(|()| Shape::of(cloud, points, noise.around(points), settings)))
         .collect::<Result<_, Cancelled>>()?;
-    let shell = structure::Shell::of(&shapes);
-    let structures: Vec<_> = shapes.iter().map(|shape| shell.structure_of(shape)).collect();
-    let supports = supports(&shapes.iter().map(|shape| shape.aabb).collect::<Vec<_>>(), &structures, shell.floor_z, progress)?;
+    let lowest_z = || quantile(&mut cloud.positions.iter().map(|p| p.z).collect::<Vec<_>>(), 0.01);
+    let floor_z = planes.floor_z().or_else(lowest_z).unwrap_or(0.0);
+    let structures: Vec<_> = shapes
+        .iter()
+        .zip(&members)
+        .map(|(shape, points)| {
+            let mut on_plane: BTreeMap<u32, u32> = BTreeMap::new();
+            points
+                .iter()
+                .filter_map(|&p| planes.of_superpoint[superpoints.of_point[p as usize] as usize])
+                .for_each(|plane| *on_plane.entry(plane).or_default() += 1);
+            structure::of(shape, &on_plane.into_iter().collect::<Vec<_>>(), planes, floor_z)
+        })
+        .collect();
+    let supports = supports(&shapes.iter().map(|shape| shape.aabb).collect::<Vec<_>>(), &structures, floor_z, progress)?;
     let instances = shapes
         .into_iter()
         .zip(structures)
@@ -66,7 +81,7 @@ pub fn build(
             planarity: shape.planarity,
             structure,
             support,
-            height_above_floor_m: shape.aabb.min().z - shell.floor_z,
+            height_above_floor_m: shape.aabb.min().z - floor_z,
             views: Vec::new(),
             names: Vec::new(),
             given_name: None,
@@ -109,10 +124,6 @@ struct Shape {
     oriented_box: OrientedBox,
     mean_rgb: [u8; 3],
     colours: ColourHistogram,
-    /// Of the best plane.
-    normal: Vector3<f32>,
-    /// Mean of the points: on the plane, whatever sticks out of it.
-    middle: Point3<f32>,
     planarity: f32,
 }
 
@@ -122,7 +133,7 @@ impl Shape {
         let colours = || members.iter().map(|&i| cloud.colours[i as usize]);
         let raw_box = Aabb::around(&positions).unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
         let (aabb, oriented_box) = bounds::robust(&positions, noise_m, settings);
-        let (normal, middle, planarity) = plane(&positions);
+        let planarity = planarity(&positions);
         let n = members.len().max(1) as u64;
         let sum = colours().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
         Self {
@@ -132,8 +143,6 @@ impl Shape {
             oriented_box,
             mean_rgb: sum.map(|s| ((s + n / 2) / n) as u8),
             colours: ColourHistogram::of(colours()),
-            normal,
-            middle,
             planarity,
         }
     }
@@ -145,13 +154,8 @@ const ON_PLANE_M: f32 = 0.03;
 /// Share of the points within 3 cm of their best plane.
 #[must_use]
 pub fn planarity(positions: &[Point3<f32>]) -> f32 {
-    plane(positions).2
-}
-
-/// Normal and middle of the best plane, and the share of points on it.
-fn plane(positions: &[Point3<f32>]) -> (Vector3<f32>, Point3<f32>, f32) {
     let Moments { mean, covariance } = Moments::of(positions);
     let (_, normal) = least_axis(&covariance);
     let on_plane = positions.iter().filter(|p| (*p - mean).dot(&normal).abs() <= ON_PLANE_M).count();
-    (normal, mean, on_plane as f32 / positions.len().max(1) as f32)
+    on_plane as f32 / positions.len().max(1) as f32
 }

@@ -8,6 +8,7 @@ pub mod sam;
 use super::ParseError;
 use crate::progress::Progress;
 use crate::scene::Frame;
+use serde::{Deserialize, Serialize};
 
 /// One mask id per pixel of a frame's **depth** image, row-major; 0 = no mask.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -36,6 +37,31 @@ impl IdImage {
     }
 }
 
+/// An id image as runs of equal ids: a few kilobytes, so that those of all frames can be kept.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IdRuns {
+    width: u32,
+    height: u32,
+    /// Id and how many pixels in a row have it, row-major; runs go on over the ends of rows.
+    runs: Vec<(u16, u32)>,
+}
+
+impl IdRuns {
+    /// Packs an image.
+    #[must_use]
+    pub fn of(image: &IdImage) -> Self {
+        let runs = image.ids.chunk_by(|a, b| a == b).map(|run| (run[0], run.len() as u32)).collect();
+        Self { width: image.width, height: image.height, runs }
+    }
+
+    /// The image again.
+    #[must_use]
+    pub fn unpacked(&self) -> IdImage {
+        let ids = self.runs.iter().flat_map(|&(id, n)| std::iter::repeat_n(id, n as usize)).collect();
+        IdImage { width: self.width, height: self.height, ids }
+    }
+}
+
 /// Where masks come from: built in (`rgbd`), a segmentation model, or annotations.
 pub trait MaskSource: Send + Sync {
     /// Name and version, recorded with the parse.
@@ -46,4 +72,19 @@ pub trait MaskSource: Send + Sync {
     /// # Errors
     /// [`ParseError`] when a model fails or the caller has asked to stop; the built-in masks never fail.
     fn masks(&self, frame: &Frame, progress: &Progress) -> Result<IdImage, ParseError>;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        #[test]
+        fn runs_give_the_image_back(width in 1_u32..20, height in 1_u32..20, seed in any::<u64>()) {
+            let ids = (0..width * height).map(|i| ((seed >> (i % 60)) & 3) as u16).collect();
+            let image = IdImage { width, height, ids };
+            prop_assert_eq!(IdRuns::of(&image).unpacked(), image);
+        }
+    }
 }

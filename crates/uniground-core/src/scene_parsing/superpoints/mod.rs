@@ -58,6 +58,14 @@ pub struct Patch {
     pub lab: Lab,
 }
 
+impl Superpoints {
+    /// The region of each point, given that of each superpoint.
+    #[must_use]
+    pub fn spread(&self, region_of: &[u32]) -> Vec<u32> {
+        self.of_point.iter().map(|&superpoint| region_of[superpoint as usize]).collect()
+    }
+}
+
 impl Patch {
     /// One patch per label `0..count`: point-weighted means of `parts`.
     #[must_use]

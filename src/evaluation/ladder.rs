@@ -1,0 +1,194 @@
+//! A ladder of losses: what of each annotated object is still recoverable after each step of stage 1. The largest step down is where
+//! work pays first.
+//!
+//! The rungs down to the lifted masks look at the annotations to choose the best that the step before has left: they are ceilings, not
+//! figures of the service.
+
+use super::annotated::{AnnotatedMasks, AnnotatedRoom};
+use super::segmentation::{InstanceScore, recall, score_instances};
+use std::collections::BTreeMap;
+use std::sync::{Mutex, PoisonError};
+use uniground_core::progress::Progress;
+use uniground_core::scene::{Frame, FrameIndex};
+use uniground_core::scene_parsing::checkpoints::Checkpoints;
+use uniground_core::scene_parsing::lifting::{FrameVisibility, Lifting};
+use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
+use uniground_core::scene_parsing::superpoints::{self, Superpoints};
+use uniground_core::scene_parsing::{ParseError, ParsingSettings, frame_sampling, instances, merging, part_merging, planes, refinement};
+
+/// What one step leaves of each object.
+pub struct Rung {
+    pub step: String,
+    /// Superpoints, masks, regions or instances there are.
+    pub pieces: usize,
+    /// Best IoU of boxes per object; empty where pieces have none.
+    pub box_iou: Vec<f32>,
+    /// Best IoU of point sets, or of pixels, per object.
+    pub point_iou: Vec<f32>,
+}
+
+impl Rung {
+    /// Share of objects recoverable at each of [`IOU_THRESHOLDS`](super::segmentation::IOU_THRESHOLDS), by boxes and by points.
+    #[must_use]
+    pub fn recall(&self) -> ([f32; 2], [f32; 2]) {
+        (recall(&self.box_iou), recall(&self.point_iou))
+    }
+}
+
+/// Climbs down from the cloud to the boxes, with one source of masks.
+///
+/// # Errors
+/// [`ParseError`] when a frame can not be read or a model fails.
+pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSettings, min_points: u32) -> Result<Vec<Rung>, ParseError> {
+    let quiet = Progress::silent();
+    let cloud = &room.bundle.cloud;
+    let objects = room.objects(min_points);
+    let superpoints = superpoints::compute(cloud, &settings.superpoints, &quiet)?;
+    let frames = frame_sampling::sample(&room.bundle.frames, &settings.frame_sampling);
+    let cameras: Vec<_> = frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
+    let planes = planes::find(cloud, &superpoints, &cameras, &quiet)?;
+    let score_points = |region_of: &[u32]| -> Result<InstanceScore, ParseError> {
+        let (found, of_point) = instances::build(cloud, &superpoints, &planes, region_of, &settings.instances, &quiet)?;
+        Ok(score_instances(&found, &of_point, &objects, &room.truth))
+    };
+    let score = |region_of: &[u32]| score_points(&superpoints.spread(region_of));
+    let mut rungs = Vec::new();
+    let mut push = |step: &str, pieces: usize, score: InstanceScore| {
+        rungs.push(Rung { step: step.to_owned(), pieces, box_iou: score.box_iou, point_iou: score.point_iou });
+    };
+
+    push("cloud", cloud.len(), score_points(&room.truth)?);
+    push("superpoints", superpoints.patches.len(), score(&majorities(&superpoints, &room.truth))?);
+
+    let judged = Judged { masks, truth: room.masks(), best: Mutex::default() };
+    let lifting = Lifting { cloud, superpoint_of_point: &superpoints.of_point, masks: &judged, depth_tolerance: settings.depth_tolerance };
+    let (lifted, _) = lifting.all(&frames, Checkpoints::none().log("lifting", &()), &quiet)?;
+    let (tables, mask_runs): (Vec<_>, Vec<_>) = lifted.into_iter().map(|l| (l.table, l.masks)).unzip();
+    let best = judged.best.into_inner().unwrap_or_else(PoisonError::into_inner);
+    let pixels = objects.iter().map(|object| in_best_views(&best, object.id)).collect();
+    let count = tables.iter().map(|t| t.masks as usize).sum();
+    push(
+        "masks",
+        count,
+        InstanceScore { objects: objects.len(), instances: count, box_iou: Vec::new(), point_iou: pixels, ap50: 0.0 },
+    );
+    push("lifted masks", count, score(&voted(&superpoints, &tables, &best))?);
+
+    let merged = merging::merge(&superpoints, &planes, tables, &settings.merging, &quiet)?;
+    let mut any: Option<InstanceScore> = None;
+    let labels = |region_of: &[u32]| region_of.iter().max().map_or(0, |&r| r as usize + 1);
+    let joined = part_merging::join(cloud, &superpoints, merged.last().to_vec(), &settings.part_merging, &quiet)?;
+    let steps = settings.merging.thresholds.iter().map(|threshold| format!("merged at {threshold}"));
+    let steps = steps
+        .chain(["small ones absorbed".to_owned()])
+        .zip(&merged.levels)
+        .chain([("parts joined".to_owned(), &joined)]);
+    for (step, region_of) in steps {
+        let here = score(region_of)?;
+        let pieces = labels(region_of);
+        let sum = any.get_or_insert_with(|| here.clone());
+        let better = |so_far: &mut Vec<f32>, now: &[f32]| so_far.iter_mut().zip(now).for_each(|(a, b)| *a = a.max(*b));
+        better(&mut sum.box_iou, &here.box_iou);
+        better(&mut sum.point_iou, &here.point_iou);
+        push(&step, pieces, here);
+    }
+    let refined = refinement::refine(cloud, superpoints.spread(&joined), &frames, &mask_runs, settings.depth_tolerance, &quiet)?;
+    push("refined", labels(&refined), score_points(&refined)?);
+    if let Some(any) = any {
+        push("any of these", 0, any);
+    }
+    Ok(rungs)
+}
+
+/// The annotated object most points of each superpoint belong to, 0 = none.
+fn majorities(superpoints: &Superpoints, truth: &[u32]) -> Vec<u32> {
+    let mut votes: Vec<BTreeMap<u32, u32>> = vec![BTreeMap::new(); superpoints.patches.len()];
+    for (&superpoint, &id) in superpoints.of_point.iter().zip(truth) {
+        *votes[superpoint as usize].entry(id).or_default() += 1;
+    }
+    votes.iter().map(|votes| most(votes).map_or(0, |(id, _)| id)).collect()
+}
+
+fn most(votes: &BTreeMap<u32, u32>) -> Option<(u32, u32)> {
+    votes.iter().map(|(&id, &n)| (id, n)).max_by_key(|&(id, n)| (n, std::cmp::Reverse(id)))
+}
+
+/// The mask that shows an object best in one frame.
+#[derive(Clone, Copy)]
+struct Best {
+    mask: u16,
+    iou: f32,
+    /// Pixels of the object in the frame.
+    pixels: u32,
+}
+
+/// By frame and object.
+type BestMasks = BTreeMap<(FrameIndex, u32), Best>;
+
+/// A source of masks that is compared with the annotations as it goes.
+struct Judged<'a> {
+    masks: &'a dyn MaskSource,
+    truth: AnnotatedMasks,
+    best: Mutex<BestMasks>,
+}
+
+impl MaskSource for Judged<'_> {
+    fn name(&self) -> &str {
+        self.masks.name()
+    }
+
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<IdImage, ParseError> {
+        let (found, truth) = (self.masks.masks(frame, progress)?, self.truth.masks(frame, progress)?);
+        let (mut shared, mut of_mask, mut of_object) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        for (&mask, &object) in found.ids.iter().zip(&truth.ids) {
+            *shared.entry((object, mask)).or_insert(0_u32) += 1;
+            *of_mask.entry(mask).or_insert(0_u32) += 1;
+            *of_object.entry(object).or_insert(0_u32) += 1;
+        }
+        let mut best = self.best.lock().unwrap_or_else(PoisonError::into_inner);
+        for (&(object, mask), &both) in shared.iter().filter(|((object, mask), _)| *object != 0 && *mask != 0) {
+            let iou = both as f32 / (of_mask[&mask] + of_object[&object] - both) as f32;
+            let so_far = best
+                .entry((frame.index, u32::from(object)))
+                .or_insert(Best { mask, iou, pixels: of_object[&object] });
+            if iou > so_far.iou {
+                *so_far = Best { mask, iou, ..*so_far };
+            }
+        }
+        Ok(found)
+    }
+}
+
+/// Mean over the three views that show most of it; 0 where no mask ever touches it.
+fn in_best_views(best: &BestMasks, object: u32) -> f32 {
+    const VIEWS: usize = 3;
+    let mut views: Vec<&Best> = best.iter().filter(|((_, id), _)| *id == object).map(|(_, best)| best).collect();
+    views.sort_by_key(|best| std::cmp::Reverse(best.pixels));
+    views.truncate(VIEWS);
+    views.iter().map(|best| best.iou).sum::<f32>() / views.len().max(1) as f32
+}
+
+/// The object of each superpoint when every frame uses the best mask of every object: that whose masks hold more than half of what is
+/// seen of the superpoint, 0 = none.
+fn voted(superpoints: &Superpoints, tables: &[FrameVisibility], best: &BestMasks) -> Vec<u32> {
+    let mut votes: Vec<(u32, BTreeMap<u32, u32>)> = vec![Default::default(); superpoints.patches.len()];
+    for table in tables {
+        let mut objects_of: BTreeMap<u16, Vec<u32>> = BTreeMap::new();
+        for ((_, object), best) in best.range((table.frame, 0)..=(table.frame, u32::MAX)) {
+            objects_of.entry(best.mask).or_default().push(*object);
+        }
+        for row in &table.rows {
+            let (visible, votes) = &mut votes[row.superpoint as usize];
+            *visible += row.visible;
+            for (mask, n) in &row.masks {
+                objects_of
+                    .get(mask)
+                    .into_iter()
+                    .flatten()
+                    .for_each(|&object| *votes.entry(object).or_default() += n);
+            }
+        }
+    }
+    let winner = |(visible, votes): &(u32, BTreeMap<u32, u32>)| most(votes).filter(|&(_, n)| 2 * n > *visible).map_or(0, |(id, _)| id);
+    votes.iter().map(winner).collect()
+}
