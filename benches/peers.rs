@@ -94,7 +94,7 @@ fn segmenter(bundle: &Utf8Path) -> anyhow::Result<Asked> {
     let settings =
         RuntimeSettings { library: Some(beside(".onnxruntime/libonnxruntime.so")), threads: Some(THREADS), ..RuntimeSettings::default() };
     let models = Models::default().with_segmenter(&OnnxRuntime::load(&settings)?, bundle)?;
-    let segmenter = models.segmenter.context("the bundle is a segmenter")?;
+    let segmenter = models.segmenters.first().cloned().context("the bundle is a segmenter")?;
     let picture = RgbImage::from_fn(640, 480, |x, y| Rgb([(x / 3) as u8, (y / 2) as u8, ((x * y) >> 6) as u8]));
     let encoded = segmenter.encode(&picture)?;
     Ok(Asked { segmenter, picture, encoded })

@@ -171,7 +171,7 @@ pub const BUILTIN_ENCODER: &str = "attributes";
 /// Neural models: bundles of ONNX networks, run here or behind an inference server.
 #[derive(Debug, Clone, clap::Args)]
 pub struct ModelsConfig {
-    /// Where 2D masks come from: rgbd (built in), or a segmenter's bundle, by name or folder
+    /// Where 2D masks come from: rgbd (built in), or a segmenter's bundle, by name or folder; several joined by + all have a vote
     #[arg(long, env = "UNIGROUND_MASKS", default_value = BUILTIN_MASKS, value_name = "BUNDLE")]
     pub masks: String,
     /// What compares pictures and words: attributes (built in), or a dual encoder's bundle, by name or folder
@@ -270,7 +270,9 @@ impl ModelsConfig {
         }
         let (engine, bundles) = (self.bundles.engine()?, &self.bundles.models);
         if masks {
-            models = models.with_segmenter(engine.as_ref(), &folder_of(&self.masks, bundles)).context("--masks")?;
+            for bundle in self.masks.split('+') {
+                models = models.with_segmenter(engine.as_ref(), &folder_of(bundle, bundles)).context("--masks")?;
+            }
         }
         if encoder {
             models = models.with_encoder(engine.as_ref(), &folder_of(&self.encoder, bundles)).context("--encoder")?;

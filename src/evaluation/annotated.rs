@@ -206,7 +206,7 @@ impl MaskSource for AnnotatedMasks {
         "annotated"
     }
 
-    fn masks(&self, frame: &Frame, _progress: &Progress) -> Result<IdImage, ParseError> {
+    fn masks(&self, frame: &Frame, _progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
         let (width, height) = (frame.depth.width, frame.depth.height);
         let camera_to_world = frame.depth_camera.world_to_camera().inverse();
         let intrinsics = frame.depth_camera.intrinsics;
@@ -215,6 +215,6 @@ impl MaskSource for AnnotatedMasks {
             z_m => self.at(&(camera_to_world * intrinsics.unproject(u as f32, v as f32, z_m)), z_m) as u16,
         };
         let ids = (0..height).flat_map(|v| (0..width).map(move |u| (u, v))).map(|(u, v)| at(u, v)).collect();
-        Ok(IdImage { width, height, ids })
+        Ok(vec![IdImage { width, height, ids }])
     }
 }

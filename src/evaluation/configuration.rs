@@ -4,9 +4,10 @@ use crate::config::{BUILTIN_ENCODER, BUILTIN_MASKS};
 use anyhow::{Context, bail, ensure};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 use uniground_core::grounding::direction::DirectionConvention;
 use uniground_types::question::{Ablation, EvidenceMode, ParserChoice, ReasonerChoice};
-use uniground_types::settings::ParsePreset;
+use uniground_types::settings::{ParsePreset, ParseSettings};
 
 /// Where instances come from: each bottleneck by itself.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -28,6 +29,9 @@ pub enum Source {
 pub struct Configuration {
     pub source: Source,
     pub preset: ParsePreset,
+    /// Settings of a parse that replace those of the preset, as in a request for one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub settings: Option<Value>,
     /// `rgbd`, or a segmenter's bundle.
     pub masks: String,
     /// `attributes`, or a dual encoder's bundle.
@@ -46,6 +50,7 @@ impl Default for Configuration {
         Self {
             source: Source::Parsed,
             preset: ParsePreset::Default,
+            settings: None,
             masks: BUILTIN_MASKS.into(),
             encoder: BUILTIN_ENCODER.into(),
             parser: ParserChoice::Builtin,
@@ -76,7 +81,7 @@ pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, 
         let axis = axis.trim();
         ensure!(!seen.contains(&axis), "the axis {axis} is given twice");
         seen.push(axis);
-        let values: Vec<&str> = values.split(',').map(str::trim).filter(|value| !value.is_empty()).collect();
+        let values = values_of(values);
         ensure!(!values.is_empty(), "the axis {axis} has no values");
         ensure!((1..values.len()).all(|i| !values[..i].contains(&values[i])), "the axis {axis} has a value twice");
         ensure!(cells.len() * values.len() <= MAX_CELLS, "more than {MAX_CELLS} cells");
@@ -99,8 +104,35 @@ pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, 
     Ok(cells)
 }
 
+/// Values between commas; those within brackets belong to a list.
+fn values_of(values: &str) -> Vec<&str> {
+    let mut depth = 0;
+    let between = |c: char| {
+        depth += i32::from(c == '[') - i32::from(c == ']');
+        c == ',' && depth == 0
+    };
+    values.split(between).map(str::trim).filter(|value| !value.is_empty()).collect()
+}
+
+/// Replaces one setting of the parse: `parsing.merging.max_hop` and the like; the value as in JSON, words without quotes.
+fn set_parse(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Result<()> {
+    let leaf = serde_json::from_str(value).unwrap_or_else(|_| Value::from(value));
+    let mut place = configuration.settings.get_or_insert_with(|| Value::Object(serde_json::Map::new()));
+    for name in axis.split('.') {
+        let object = place
+            .as_object_mut()
+            .with_context(|| format!("{axis}: another axis sets the whole of which this is a part"))?;
+        place = object.entry(name).or_insert_with(|| Value::Object(serde_json::Map::new()));
+    }
+    *place = leaf;
+    ParseSettings::from_request(configuration.preset, configuration.settings.clone())
+        .map_err(|error| anyhow::anyhow!("{axis}={value}: {}: {}", error.pointer, error.detail))?;
+    Ok(())
+}
+
 fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Result<()> {
     match axis {
+        _ if axis.starts_with("import.") || axis.starts_with("parsing.") => set_parse(configuration, axis, value)?,
         "source" => configuration.source = word(axis, value, "parsed, oracle, oracle-boxes, recorded")?,
         "preset" => configuration.preset = word(axis, value, "default, paper")?,
         "parser" => configuration.parser = word(axis, value, "builtin, vlm")?,
@@ -114,7 +146,9 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
             Ok(top_k) if (1..=MAX_TOP_K).contains(&top_k) => configuration.top_k = top_k,
             _ => bail!("top_k={value}: expected 1 to {MAX_TOP_K}"),
         },
-        _ => bail!("{axis}: unknown; the axes are source, preset, masks, encoder, parser, reasoner, ablation, evidence, top_k, convention"),
+        _ => bail!(
+            "{axis}: unknown; the axes are source, preset, masks, encoder, parser, reasoner, ablation, evidence, top_k, convention, and every setting of a parse, like parsing.merging.max_hop"
+        ),
     }
     Ok(())
 }
@@ -127,6 +161,7 @@ fn word<T: DeserializeOwned>(axis: &str, value: &str, known: &str) -> anyhow::Re
 #[cfg(test)]
 mod tests {
     use super::*;
+    use uniground_types::settings::Normalisation;
 
     #[test]
     fn a_matrix_spells_out_every_combination_in_order() {
@@ -142,6 +177,16 @@ mod tests {
     }
 
     #[test]
+    fn every_setting_of_a_parse_is_an_axis() {
+        let matrix = "parsing.merging.thresholds=[0.9,0.5],[0.7]; parsing.refine_borders=false; parsing.merging.normalisation=literal";
+        let cells = cells(matrix, &Configuration::default()).unwrap();
+        assert_eq!(cells.len(), 2);
+        let settings = ParseSettings::from_request(ParsePreset::Default, cells[0].1.settings.clone()).unwrap().parsing;
+        assert_eq!(settings.merging.thresholds, [0.9, 0.5]);
+        assert_eq!((settings.merging.normalisation, settings.refine_borders), (Normalisation::Literal, false));
+    }
+
+    #[test]
     fn what_is_not_there_is_told_with_what_is() {
         for (matrix, expected) in [
             ("sources=oracle", "the axes are source"),
@@ -150,6 +195,8 @@ mod tests {
             ("top_k", "expected axis=value"),
             ("top_k=3;top_k=5", "given twice"),
             ("source=", "has no values"),
+            ("parsing.merging.max_hop=9", "max_hop: must be 1 to 4"),
+            ("parsing.merge.max_hop=1", "unknown field `merge`"),
         ] {
             let error = cells(matrix, &Configuration::default()).unwrap_err().to_string();
             assert!(error.contains(expected), "{matrix}: {error}");

@@ -9,12 +9,14 @@ use super::segmentation::{InstanceScore, recall, score_instances};
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use uniground_core::progress::Progress;
-use uniground_core::scene::{Frame, FrameIndex};
+use uniground_core::scene::{Frame, FrameIndex, InstanceId};
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
-use uniground_core::scene_parsing::lifting::{FrameVisibility, Lifting};
+use uniground_core::scene_parsing::lifting::{FrameVisibility, Lifted, Lifting};
 use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
 use uniground_core::scene_parsing::superpoints::{self, Superpoints};
-use uniground_core::scene_parsing::{ParseError, ParsingSettings, frame_sampling, instances, merging, part_merging, planes, refinement};
+use uniground_core::scene_parsing::{
+    ParseError, ParsingSettings, frame_sampling, instances, merging, part_merging, planes, refinement, views,
+};
 
 /// What one step leaves of each object.
 pub struct Rung {
@@ -47,10 +49,12 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
     let frames = frame_sampling::sample(&room.bundle.frames, &settings.frame_sampling);
     let cameras: Vec<_> = frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
     let planes = planes::find(cloud, &superpoints, &cameras, &quiet)?;
-    let score_points = |region_of: &[u32]| -> Result<InstanceScore, ParseError> {
-        let (found, of_point) = instances::build(cloud, &superpoints, &planes, region_of, &settings.instances, &quiet)?;
-        Ok(score_instances(&found, &of_point, &objects, &room.truth))
+    // Without sightings nothing is dropped.
+    let score_seen = |numbered: &[InstanceId], sightings| -> Result<InstanceScore, ParseError> {
+        let built = instances::build(cloud, &superpoints, &planes, numbered, sightings, &settings.instances, &quiet)?;
+        Ok(score_instances(&built.instances, &built.of_point, &objects, &room.truth))
     };
+    let score_points = |region_of: &[u32]| score_seen(&instances::numbered(region_of), Vec::new());
     let score = |region_of: &[u32]| score_points(&superpoints.spread(region_of));
     let mut rungs = Vec::new();
     let mut push = |step: &str, pieces: usize, score: InstanceScore| {
@@ -63,7 +67,7 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
     let judged = Judged { masks, truth: room.masks(), best: Mutex::default() };
     let lifting = Lifting { cloud, superpoint_of_point: &superpoints.of_point, masks: &judged, depth_tolerance: settings.depth_tolerance };
     let (lifted, _) = lifting.all(&frames, Checkpoints::none().log("lifting", &()), &quiet)?;
-    let (tables, mask_runs): (Vec<_>, Vec<_>) = lifted.into_iter().map(|l| (l.table, l.masks)).unzip();
+    let (tables, masks_of) = Lifted::apart(lifted);
     let best = judged.best.into_inner().unwrap_or_else(PoisonError::into_inner);
     let pixels = objects.iter().map(|object| in_best_views(&best, object.id)).collect();
     let count = tables.iter().map(|t| t.masks as usize).sum();
@@ -92,8 +96,12 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
         better(&mut sum.point_iou, &here.point_iou);
         push(&step, pieces, here);
     }
-    let refined = refinement::refine(cloud, superpoints.spread(&joined), &frames, &mask_runs, settings.depth_tolerance, &quiet)?;
+    let refined = refinement::refine(cloud, superpoints.spread(&joined), &frames, &masks_of, settings.depth_tolerance, &quiet)?;
     push("refined", labels(&refined), score_points(&refined)?);
+    let numbered = instances::numbered(&refined);
+    let sightings = views::all_sightings(cloud, &numbered, &frames, settings.depth_tolerance, &masks_of, &quiet)?;
+    let shown = score_seen(&numbered, sightings)?;
+    push("shown by masks", shown.instances, shown);
     if let Some(any) = any {
         push("any of these", 0, any);
     }
@@ -116,6 +124,7 @@ fn most(votes: &BTreeMap<u32, u32>) -> Option<(u32, u32)> {
 /// The mask that shows an object best in one frame.
 #[derive(Clone, Copy)]
 struct Best {
+    layer: u32,
     mask: u16,
     iou: f32,
     /// Pixels of the object in the frame.
@@ -137,8 +146,15 @@ impl MaskSource for Judged<'_> {
         self.masks.name()
     }
 
-    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<IdImage, ParseError> {
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
         let (found, truth) = (self.masks.masks(frame, progress)?, self.truth.masks(frame, progress)?);
+        (0..).zip(&found).for_each(|(layer, found)| self.judge(frame.index, (layer, found), &truth[0]));
+        Ok(found)
+    }
+}
+
+impl Judged<'_> {
+    fn judge(&self, frame: FrameIndex, (layer, found): (u32, &IdImage), truth: &IdImage) {
         let (mut shared, mut of_mask, mut of_object) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
         for (&mask, &object) in found.ids.iter().zip(&truth.ids) {
             *shared.entry((object, mask)).or_insert(0_u32) += 1;
@@ -149,13 +165,12 @@ impl MaskSource for Judged<'_> {
         for (&(object, mask), &both) in shared.iter().filter(|((object, mask), _)| *object != 0 && *mask != 0) {
             let iou = both as f32 / (of_mask[&mask] + of_object[&object] - both) as f32;
             let so_far = best
-                .entry((frame.index, u32::from(object)))
-                .or_insert(Best { mask, iou, pixels: of_object[&object] });
+                .entry((frame, u32::from(object)))
+                .or_insert(Best { layer, mask, iou, pixels: of_object[&object] });
             if iou > so_far.iou {
-                *so_far = Best { mask, iou, ..*so_far };
+                *so_far = Best { layer, mask, iou, ..*so_far };
             }
         }
-        Ok(found)
     }
 }
 
@@ -174,7 +189,8 @@ fn voted(superpoints: &Superpoints, tables: &[FrameVisibility], best: &BestMasks
     let mut votes: Vec<(u32, BTreeMap<u32, u32>)> = vec![Default::default(); superpoints.patches.len()];
     for table in tables {
         let mut objects_of: BTreeMap<u16, Vec<u32>> = BTreeMap::new();
-        for ((_, object), best) in best.range((table.frame, 0)..=(table.frame, u32::MAX)) {
+        let of_frame = best.range((table.frame, 0)..=(table.frame, u32::MAX));
+        for ((_, object), best) in of_frame.filter(|(_, best)| best.layer == table.layer) {
             objects_of.entry(best.mask).or_default().push(*object);
         }
         for row in &table.rows {

@@ -119,8 +119,8 @@ pub fn run(suite: &Suite, system: &dyn System, options: &RunOptions) -> anyhow::
 
 /// What decides which instances a cell sees.
 fn setup(configuration: &Configuration) -> (Source, String) {
-    let Configuration { source, preset, masks, encoder, .. } = configuration;
-    (*source, format!("{preset:?} {masks} {encoder}"))
+    let Configuration { source, preset, settings, masks, encoder, .. } = configuration;
+    (*source, format!("{preset:?} {settings:?} {masks} {encoder}"))
 }
 
 /// A scene somebody brought in, or why not.

@@ -101,7 +101,8 @@ pub struct StructureScore {
 pub fn score_structure(instances: &[Instance], of_point: &[InstanceId], kinds: &BTreeMap<u32, Structure>, truth: &[u32]) -> StructureScore {
     let (mut annotated, mut flagged, mut right, mut hit) = (0_u32, 0_u32, 0_u32, 0_u32);
     for (instance, id) in of_point.iter().zip(truth) {
-        let (found, kind) = (instances[instance.0 as usize - 1].structure, kinds.get(id).copied());
+        let found = (instance.0 as usize).checked_sub(1).and_then(|i| instances[i].structure);
+        let kind = kinds.get(id).copied();
         annotated += u32::from(kind.is_some());
         flagged += u32::from(found.is_some());
         right += u32::from(kind.is_some() && found == kind);

@@ -145,7 +145,7 @@ impl MaskSource for Watched {
         "watched"
     }
 
-    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<IdImage, ParseError> {
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
         if self.frames.fetch_add(1, Ordering::SeqCst) + 1 == self.stop_after {
             self.stop.cancel();
         }

@@ -7,9 +7,9 @@ use crate::progress::Progress;
 use crate::scene::{FrameRef, ImportReport, ParsedScene};
 use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::scene_parsing::correction::Corrector;
-use crate::scene_parsing::masks::MaskSource;
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
 use crate::scene_parsing::masks::sam::{EncodedFrames, SamMasks};
+use crate::scene_parsing::masks::{MaskSource, Together};
 use crate::scene_parsing::{self, ParseError, Perception, StageOutcome, Stopwatch};
 use camino::Utf8Path;
 use uniground_types::settings::{ModelChoice, ParseModels, ParseSettings, PartChoice};
@@ -111,17 +111,20 @@ fn parse_with(
     let corrects = parsing.correction.rounds > 0;
     let max_bytes = if corrects { u64::from(parsing.sam_masks.cache_mb) << 20 } else { 0 };
     let encoded = models
-        .segmenter
-        .clone()
-        .map(|segmenter| EncodedFrames::new(segmenter, checkpoints.folder(), max_bytes))
-        .transpose()?;
-    let sam = encoded
-        .as_ref()
-        .map(|frames| SamMasks { frames, settings: parsing.sam_masks, name: names.masks.clone() });
+        .segmenters
+        .iter()
+        .enumerate()
+        .map(|(i, segmenter)| EncodedFrames::new(segmenter.clone(), checkpoints.folder(), if i == 0 { max_bytes } else { 0 }))
+        .collect::<Result<Vec<_>, _>>()?;
+    let sam: Vec<SamMasks> = encoded
+        .iter()
+        .map(|frames| SamMasks { frames, settings: parsing.sam_masks, segments: parsing.rgbd_masks, name: names.masks.clone() })
+        .collect();
+    let together = Together { sources: sam.iter().map(|sam| sam as &dyn MaskSource).collect(), name: names.masks.clone() };
     let perception = Perception {
-        masks: sam.as_ref().map_or(&rgbd, |sam| sam as &dyn MaskSource),
+        masks: if sam.is_empty() { &rgbd } else { &together },
         corrector: encoded
-            .as_ref()
+            .first()
             .filter(|_| corrects)
             .map(|frames| Corrector { frames, settings: parsing.correction }),
         encoder: models.encoder.as_deref(),

@@ -155,6 +155,9 @@ pub struct ParseReport {
     pub instances: u32,
     /// Instances flagged as floor, wall or ceiling.
     pub structural: u32,
+    /// Regions that became no instance because the masks of the frames that see them show something else; their points belong to nothing.
+    #[serde(default)]
+    pub dropped: u32,
     /// Instances that no frame shows.
     pub without_views: u32,
     /// What each stage did and took, in order.
@@ -167,7 +170,7 @@ pub struct ParseReport {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct StageReport {
-    /// `import`, `superpoints`, `masks_and_lifting`, `merging`, `part_merging`, `instances`, `views`, or with models `appearance`.
+    /// `import`, `superpoints`, `masks_and_lifting`, `merging`, `part_merging`, `refinement`, `views`, `instances`, or with models `appearance`.
     pub stage: String,
     /// Wall-clock.
     pub seconds: f32,

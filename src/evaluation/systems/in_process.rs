@@ -127,7 +127,7 @@ impl System for InProcess {
         let annotated = |permission| scene.annotations.as_ref().map(|sealed| sealed.as_instances(permission));
         let missing = |what: &str| format!("the scene {} has no {what}", scene.id);
         let models = self.models(configuration)?;
-        let settings = ParseSettings::from_request(configuration.preset, None)?;
+        let settings = ParseSettings::from_request(configuration.preset, configuration.settings.clone())?;
         // The scene is brought in once for all reasoners and parsers: where a model may decide, it needs photographs.
         let with_views = self.vlm.is_some();
         let known = |annotations: &Annotations, names| boxed(annotations, scene, names, &models, &settings, with_views);

@@ -120,7 +120,7 @@ pub(super) fn view(
     let (own, instance_of_point) = points_of(annotations, cloud);
     let mut seen = Vec::new();
     for frame in frames {
-        seen.extend(views::sightings(&own, &instance_of_point, frame, &frame.decode_depth()?, settings.depth_tolerance));
+        seen.extend(views::sightings(&own, &instance_of_point, frame, &frame.decode_depth()?, settings.depth_tolerance, &[]));
     }
     views::choose(instances, seen, frames, &settings.views);
     Ok(())

@@ -63,9 +63,10 @@ impl System for Server {
     }
 
     fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()> {
-        let Configuration { source, preset, masks, encoder, paper_compatible, .. } = configuration;
+        let Configuration { source, preset, settings, masks, encoder, paper_compatible, .. } = configuration;
         ensure!(*source == Source::Parsed, "a server parses by itself: annotated and recorded instances need a run in process");
-        ensure!(*preset == ParsePreset::Default, "a server parses with its own settings: presets need a run in process");
+        let own = *preset == ParsePreset::Default && settings.is_none();
+        ensure!(own, "a server parses with its own settings: presets and settings of a parse need a run in process");
         let unnamed = masks == BUILTIN_MASKS && encoder == BUILTIN_ENCODER;
         ensure!(unnamed, "a server looks through the models it was started with: masks= and encoder= need a run in process");
         ensure!(!paper_compatible, "a server takes no annotated hints: --paper-compatible needs a run in process");

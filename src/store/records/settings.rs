@@ -16,14 +16,19 @@ pub(super) fn read(mut stored: Value) -> ParseSettings {
     serde_json::from_value(whole).unwrap_or_default()
 }
 
-/// Switches that came with steps of stage 1 younger than some parses: where they stand, and their names.
-const YOUNG_STEPS: [(&str, &str); 2] = [("/parsing", "refine_borders"), ("/parsing/merging", "keep_planes_apart")];
-
-/// A parse without the switch of a step was made without the step, whatever the default is today.
+/// A parse without the switch of a younger step of stage 1 was made without the step, whatever the default is today.
 fn without_steps_of_today(stored: &mut Value) {
-    for (place, name) in YOUNG_STEPS {
+    let young = [
+        ("/parsing", "refine_borders", Value::Bool(false)),
+        ("/parsing/merging", "keep_planes_apart", Value::Bool(false)),
+        ("/parsing/sam_masks", "prompts", Value::from("grid")),
+        ("/parsing/sam_masks", "wholes", Value::Bool(false)),
+        ("/parsing/correction", "known_agreement", Value::Null),
+        ("/parsing/instances", "min_agreement", Value::from(0)),
+    ];
+    for (place, name, absent) in young {
         if let Some(settings) = stored.pointer_mut(place).and_then(Value::as_object_mut) {
-            settings.entry(name).or_insert(Value::Bool(false));
+            settings.entry(name).or_insert(absent);
         }
     }
 }

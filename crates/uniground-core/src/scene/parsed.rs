@@ -3,12 +3,12 @@
 use super::{Embeddings, Instance, InstanceId, ParseReport, PointCloud};
 use crate::geometry::boxes::Aabb;
 
-/// A parsed scene: every point belongs to exactly one instance.
+/// A parsed scene: every point belongs to one instance, or to none.
 #[derive(Debug, Clone)]
 pub struct ParsedScene {
     /// The points of the import, in its order.
     pub cloud: PointCloud,
-    /// Instance of each point of `cloud`.
+    /// Instance of each point of `cloud`; 0: none, for what no mask shows.
     pub instance_of_point: Vec<InstanceId>,
     /// Superpoint of each point, numbered from 0.
     pub superpoint_of_point: Vec<u32>,

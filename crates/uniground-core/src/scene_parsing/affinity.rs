@@ -168,7 +168,7 @@ mod tests {
             .iter()
             .map(|&(superpoint, visible, masks)| VisibleSuperpoint { superpoint, visible, masks: masks.to_vec() })
             .collect();
-        FrameVisibility { frame: FrameIndex(0), masks: 2, rows }
+        FrameVisibility { frame: FrameIndex(0), layer: 0, masks: 2, rows }
     }
 
     #[test]

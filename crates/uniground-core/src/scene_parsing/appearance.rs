@@ -1,7 +1,8 @@
 //! Appearance: each instance as one vector, the mean over crops of several views (paper: multi-scale crops, 5 levels, 10 views).
 
 use super::ParseError;
-use super::correction::{Corrector, Projection};
+use super::correction::{Corrector, KnownMasks, Projection};
+use super::lifting::MasksOfFrames;
 use super::views::{Sighting, all_sightings, visible_pixels};
 use crate::models::neural::DualEncoder;
 use crate::progress::Progress;
@@ -43,6 +44,15 @@ pub struct Labelled<'a> {
     pub depth_tolerance: f32,
 }
 
+/// A segmenter to be asked for outlines, and those known already.
+#[derive(Clone, Copy)]
+pub struct Correction<'a> {
+    /// Who is asked.
+    pub corrector: &'a Corrector<'a>,
+    /// The id images of each frame.
+    pub known: &'a MasksOfFrames,
+}
+
 /// One vector per instance, row after row (none without an encoder), and the boxes that were looked at: corrected, where a segmenter could.
 ///
 /// # Errors
@@ -52,7 +62,7 @@ pub fn look(
     instances: &[Instance],
     mut boxes: Boxes,
     labelled: Labelled,
-    (corrector, encoder): (Option<&Corrector>, Option<&DualEncoder>),
+    (correction, encoder): (Option<Correction>, Option<&DualEncoder>),
     settings: &AppearanceSettings,
     progress: &Progress,
 ) -> Result<(Vec<f32>, Boxes), ParseError> {
@@ -65,14 +75,10 @@ pub fn look(
         |frame| {
             progress.check()?;
             let mut seen = projected[&frame.index].clone();
-            let picture = match corrector {
-                Some(corrector) => {
-                    let picture = frame.decode_colour()?;
-                    correct(frame, &picture, labelled, corrector, &mut seen, progress)?;
-                    picture
-                }
-                None => frame.decode_colour()?,
-            };
+            let picture = frame.decode_colour()?;
+            if let Some(correction) = correction {
+                correct(frame, &picture, labelled, correction, &mut seen, progress)?;
+            }
             let embedded = match encoder {
                 Some(encoder) => embed(&picture, &seen, encoder, settings, progress)?,
                 None => Vec::new(),
@@ -103,7 +109,7 @@ pub fn of_known(
     settings: &AppearanceSettings,
 ) -> Result<Vec<f32>, ParseError> {
     let quiet = Progress::silent();
-    let seen = all_sightings(labelled.cloud, labelled.instance_of_point, frames, labelled.depth_tolerance, &quiet)?;
+    let seen = all_sightings(labelled.cloud, labelled.instance_of_point, frames, labelled.depth_tolerance, &MasksOfFrames::new(), &quiet)?;
     let boxes = choose(instances, &seen, settings);
     Ok(look(frames, instances, boxes, labelled, (None, Some(encoder)), settings, &quiet)?.0)
 }
@@ -113,24 +119,34 @@ fn correct(
     frame: &FrameRef,
     picture: &RgbImage,
     labelled: Labelled,
-    corrector: &Corrector,
+    Correction { corrector, known }: Correction,
     boxes: &mut BTreeMap<InstanceId, [u32; 4]>,
     progress: &Progress,
 ) -> Result<(), ParseError> {
-    let encoded = corrector.frames.of(frame.index, picture)?;
-    corrector.frames.forget(frame.index);
     let depth = frame.decode_depth()?;
+    let known: Vec<KnownMasks> = known.get(&frame.index).into_iter().flatten().map(|masks| KnownMasks::of(masks, frame)).collect();
+    let mut encoded = None;
     let pixels = visible_pixels(labelled.cloud, labelled.instance_of_point, frame, &depth, labelled.depth_tolerance);
-    for of_instance in pixels.chunk_by(|a, b| a.0 == b.0) {
+    for of_instance in pixels.chunk_by(|a, b| a.instance == b.instance) {
         progress.check()?;
-        let instance = of_instance[0].0;
+        let instance = of_instance[0].instance;
         let Some(tight) = boxes.get_mut(&instance) else { continue };
-        let pixels: Vec<(f32, f32)> = of_instance.iter().map(|(_, u, v)| (*u, *v)).collect();
+        let pixels: Vec<(f32, f32)> = of_instance.iter().map(|point| point.at).collect();
         let projection = Projection { instance, frame: frame.index, pixels: &pixels };
-        if let Some(corrected) = corrector.tight_box(&encoded, &projection, picture.dimensions())? {
+        let size = picture.dimensions();
+        let mut corrected = known.iter().find_map(|known| corrector.known_box(known, &projection, size));
+        if corrected.is_none() {
+            let encoded = match &encoded {
+                Some(encoded) => encoded,
+                None => encoded.insert(corrector.frames.of(frame.index, picture)?),
+            };
+            corrected = corrector.asked_box(encoded, &projection, size)?;
+        }
+        if let Some(corrected) = corrected {
             *tight = corrected;
         }
     }
+    corrector.frames.forget(frame.index);
     Ok(())
 }
 
@@ -189,6 +205,7 @@ mod tests {
         Sighting {
             instance: InstanceId(instance),
             view: View { frame: FrameIndex(frame), visible_points, box_px: [frame, 0, frame + 9, 9] },
+            agreement: 0.0,
         }
     }
 

@@ -10,13 +10,16 @@ use crate::progress::Progress;
 use crate::scene::{Frame, FrameIndex, FrameRef, PointCloud, stream_frames};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
-/// What one frame sees. Rows are sorted by superpoint.
+/// What one frame sees, by one of its id images. Rows are sorted by superpoint.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameVisibility {
     /// The frame looked into.
     pub frame: FrameIndex,
-    /// How many masks the frame has.
+    /// Which of the frame's id images, from 0.
+    pub layer: u32,
+    /// How many masks the image has.
     pub masks: u32,
     /// One per superpoint it sees; empty when it sees no point of the cloud.
     pub rows: Vec<VisibleSuperpoint>,
@@ -48,10 +51,25 @@ pub struct Lifting<'a> {
 /// What a frame sees of each superpoint, and its masks themselves.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Lifted {
-    /// By superpoint.
-    pub table: FrameVisibility,
-    /// By pixel.
-    pub masks: IdRuns,
+    /// The frame looked into.
+    pub frame: FrameIndex,
+    /// By superpoint, for each id image.
+    pub tables: Vec<FrameVisibility>,
+    /// By pixel, as many.
+    pub masks: Vec<IdRuns>,
+}
+
+/// The id images of each frame.
+pub type MasksOfFrames = BTreeMap<FrameIndex, Vec<IdRuns>>;
+
+impl Lifted {
+    /// The tables of all frames, and the masks of each.
+    #[must_use]
+    pub fn apart(lifted: Vec<Self>) -> (Vec<FrameVisibility>, MasksOfFrames) {
+        let (tables, masks): (Vec<_>, MasksOfFrames) =
+            lifted.into_iter().map(|Self { frame, tables, masks }| (tables, (frame, masks))).unzip();
+        (tables.concat(), masks)
+    }
 }
 
 impl Lifting<'_> {
@@ -61,7 +79,7 @@ impl Lifting<'_> {
     /// [`ParseError`]: an unreadable frame, or cancellation.
     pub fn all(&self, frames: &[FrameRef], mut log: Log<Lifted>, progress: &Progress) -> Result<(Vec<Lifted>, bool), ParseError> {
         let mut lifted = log.kept();
-        let kept = lifted.iter().zip(frames).take_while(|(lifted, frame)| lifted.table.frame == frame.index).count();
+        let kept = lifted.iter().zip(frames).take_while(|(lifted, frame)| lifted.frame == frame.index).count();
         lifted.truncate(kept);
         log.forget_after(kept);
         stream_frames(
@@ -69,9 +87,9 @@ impl Lifting<'_> {
             |frame| {
                 progress.check()?;
                 let frame = frame.decode()?;
-                let ids = self.masks.masks(&frame, progress)?;
-                let table = lift(self.cloud, self.superpoint_of_point, &frame, &ids, self.depth_tolerance);
-                Ok::<_, ParseError>(Lifted { table, masks: IdRuns::of(&ids) })
+                let images = self.masks.masks(&frame, progress)?;
+                let tables = lift(self.cloud, self.superpoint_of_point, &frame, &images, self.depth_tolerance);
+                Ok::<_, ParseError>(Lifted { frame: frame.index, tables, masks: images.iter().map(IdRuns::of).collect() })
             },
             |i, frame| {
                 log.append(&frame);
@@ -83,12 +101,18 @@ impl Lifting<'_> {
     }
 }
 
-/// Looks up every point in one frame (paper: visible when it projects inside, in front, and fits the measured depth).
+/// Looks up every point in one frame and its id images (paper: visible when it projects inside, in front, and fits the measured depth).
 ///
 /// `depth_tolerance` is relative: `|z - d| <= tolerance * d`. A hole in the depth is unknown, hence not visible.
 #[must_use]
-pub fn lift(cloud: &PointCloud, superpoint_of_point: &[u32], frame: &Frame, masks: &IdImage, depth_tolerance: f32) -> FrameVisibility {
-    let mut hits: Vec<(u32, u16)> = cloud
+pub fn lift(
+    cloud: &PointCloud,
+    superpoint_of_point: &[u32],
+    frame: &Frame,
+    images: &[IdImage],
+    depth_tolerance: f32,
+) -> Vec<FrameVisibility> {
+    let seen: Vec<(u32, (u32, u32))> = cloud
         .positions
         .par_iter()
         .with_min_len(1 << 14)
@@ -97,12 +121,22 @@ pub fn lift(cloud: &PointCloud, superpoint_of_point: &[u32], frame: &Frame, mask
             let pixel = frame.depth_camera.project(p)?;
             let cell = pixel.cell();
             let depth_m = frame.depth.at(cell);
-            (depth_m > 0.0 && (pixel.z_m - depth_m).abs() <= depth_tolerance * depth_m).then(|| (superpoint, masks.at(cell)))
+            (depth_m > 0.0 && (pixel.z_m - depth_m).abs() <= depth_tolerance * depth_m).then_some((superpoint, cell))
         })
         .collect();
-    hits.sort_unstable();
-    let rows = hits
-        .chunk_by(|a, b| a.0 == b.0)
+    (0..)
+        .zip(images)
+        .map(|(layer, masks)| {
+            let mut hits: Vec<(u32, u16)> = seen.iter().map(|&(superpoint, cell)| (superpoint, masks.at(cell))).collect();
+            hits.sort_unstable();
+            FrameVisibility { frame: frame.index, layer, masks: masks.count(), rows: rows(&hits) }
+        })
+        .collect()
+}
+
+/// One row per superpoint; `hits` are superpoints and masks of points, sorted.
+fn rows(hits: &[(u32, u16)]) -> Vec<VisibleSuperpoint> {
+    hits.chunk_by(|a, b| a.0 == b.0)
         .map(|of_superpoint| VisibleSuperpoint {
             superpoint: of_superpoint[0].0,
             visible: of_superpoint.len() as u32,
@@ -112,8 +146,7 @@ pub fn lift(cloud: &PointCloud, superpoint_of_point: &[u32], frame: &Frame, mask
                 .map(|of_mask| (of_mask[0].1, of_mask.len() as u32))
                 .collect(),
         })
-        .collect();
-    FrameVisibility { frame: frame.index, masks: masks.count(), rows }
+        .collect()
 }
 
 /// The same table for coarser primitives: `region_of[superpoint]` replaces superpoints.
@@ -137,7 +170,7 @@ pub fn coarsen(table: &FrameVisibility, region_of: &[u32]) -> FrameVisibility {
             }
         })
         .collect();
-    FrameVisibility { frame: table.frame, masks: table.masks, rows }
+    FrameVisibility { rows, ..*table }
 }
 
 #[cfg(test)]
@@ -176,8 +209,10 @@ mod tests {
             colours: vec![[0; 3]; 6],
         };
         let masks = IdImage { width: 4, height: 4, ids: (0..16).map(|i| u16::from(i != 1) * 7).collect() };
-        let table = lift(&cloud, &[5, 5, 5, 5, 5, 5], &frame, &masks, 0.05);
-        assert_eq!(table.rows, [VisibleSuperpoint { superpoint: 5, visible: 2, masks: vec![(7, 1)] }]);
+        let whole = IdImage { ids: vec![3; 16], ..masks.clone() };
+        let tables = lift(&cloud, &[5, 5, 5, 5, 5, 5], &frame, &[masks, whole], 0.05);
+        assert_eq!(tables[0].rows, [VisibleSuperpoint { superpoint: 5, visible: 2, masks: vec![(7, 1)] }]);
+        assert_eq!(tables[1].rows, [VisibleSuperpoint { superpoint: 5, visible: 2, masks: vec![(3, 2)] }]);
     }
 
     #[test]
@@ -185,6 +220,7 @@ mod tests {
         let row = |superpoint, visible, masks: &[(u16, u32)]| VisibleSuperpoint { superpoint, visible, masks: masks.to_vec() };
         let table = FrameVisibility {
             frame: FrameIndex(0),
+            layer: 0,
             masks: 2,
             rows: vec![row(0, 3, &[(1, 3)]), row(1, 4, &[(2, 4)]), row(2, 5, &[(1, 2), (2, 3)])],
         };

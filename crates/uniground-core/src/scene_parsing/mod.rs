@@ -2,7 +2,7 @@
 //!
 //! ```text
 //! cloud  -> superpoints -> planes ─┐
-//! frames -> masks -> lifting -> affinity -> merging -> part merging -> refinement -> instances -> views -> appearance -> names
+//! frames -> masks -> lifting -> affinity -> merging -> part merging -> refinement -> views -> instances -> appearance -> names
 //! ```
 //! Frames pass three times, decoded a few at a time: for masks and lifting, and their depth for refinement and for the views; where networks take part, the chosen
 //! views pass once more. Same input and settings give the same instances, whatever the number of threads.
@@ -30,10 +30,11 @@ use crate::models::neural::{DualEncoder, ModelError};
 use crate::models::{attributes, calibration};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle};
-use appearance::Labelled;
+use appearance::{Correction, Labelled};
 use checkpoints::Checkpoints;
 use correction::Corrector;
-use lifting::Lifting;
+use instances::Built;
+use lifting::{Lifted, Lifting};
 use masks::MaskSource;
 pub use stopwatch::{StageOutcome, Stopwatch};
 pub use uniground_types::settings::ParsingSettings;
@@ -76,13 +77,13 @@ impl<'a> Perception<'a> {
         self.corrector.is_some() || self.encoder.is_some()
     }
 
-    /// Where stages end, as shares of the whole: superpoints, planes, masks, merging, part merging, refinement, instances, views; appearance
+    /// Where stages end, as shares of the whole: superpoints, planes, masks, merging, part merging, refinement, views, instances; appearance
     /// comes last and ends at 1. Where networks take part they take nearly all of the time. The time left is estimated from these.
     fn ends(&self) -> [f32; 8] {
         match (self.corrector.is_some(), self.encoder.is_some()) {
-            (false, false) => [0.3, 0.35, 0.72, 0.79, 0.81, 0.88, 0.9, 1.0],
-            (false, true) => [0.06, 0.07, 0.15, 0.165, 0.17, 0.18, 0.185, 0.2],
-            (true, _) => [0.01, 0.011, 0.7, 0.705, 0.708, 0.713, 0.715, 0.72],
+            (false, false) => [0.3, 0.35, 0.72, 0.79, 0.81, 0.88, 0.98, 1.0],
+            (false, true) => [0.06, 0.07, 0.15, 0.165, 0.17, 0.18, 0.195, 0.2],
+            (true, _) => [0.01, 0.011, 0.7, 0.705, 0.708, 0.713, 0.718, 0.72],
         }
     }
 }
@@ -123,11 +124,11 @@ pub fn parse(
         let lifting =
             Lifting { cloud: &cloud, superpoint_of_point: &superpoints.of_point, masks, depth_tolerance: settings.depth_tolerance };
         let (lifted, reused) = lifting.all(&frames, checkpoints.log("lifting", &lifted_with), &progress.part(ends[1], ends[2]))?;
-        *outcome = StageOutcome { produced: lifted.iter().map(|l| l.table.masks as usize).sum(), reused };
+        *outcome = StageOutcome { produced: lifted.iter().flat_map(|l| &l.tables).map(|table| table.masks as usize).sum(), reused };
         Ok::<_, ParseError>(lifted)
     })?;
-    let (tables, mask_runs): (Vec<_>, Vec<_>) = lifted.into_iter().map(|l| (l.table, l.masks)).unzip();
-    let blind: Vec<String> = tables.iter().filter(|t| t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
+    let (tables, masks_of) = Lifted::apart(lifted);
+    let blind: Vec<String> = tables.iter().filter(|t| t.layer == 0 && t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
     let regions = watch.time("merging", |outcome| {
         let compute = || merging::merge(&superpoints, &planes, tables, &settings.merging, &progress.part(ends[2], ends[3]));
         let (regions, reused) = checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
@@ -145,23 +146,25 @@ pub fn parse(
         false => region_of,
         true => watch.time("refinement", |outcome| {
             let refining = progress.part(ends[4], ends[5]);
-            let refined = refinement::refine(&cloud, region_of, &frames, &mask_runs, settings.depth_tolerance, &refining)?;
+            let refined = refinement::refine(&cloud, region_of, &frames, &masks_of, settings.depth_tolerance, &refining)?;
             outcome.produced = count(&refined);
             Ok::<_, ParseError>(refined)
         })?,
     };
-    let (mut instances, instance_of_point) = watch.time("instances", |outcome| {
-        let built = instances::build(&cloud, &superpoints, &planes, &region_of, &settings.instances, &progress.part(ends[5], ends[6]))?;
-        outcome.produced = built.0.len();
-        Ok::<_, ParseError>(built)
-    })?;
-
+    let numbered = instances::numbered(&region_of);
     let sightings = watch.time("views", |outcome| {
-        let viewing = progress.part(ends[6], ends[7]);
-        let sightings = views::all_sightings(&cloud, &instance_of_point, &frames, settings.depth_tolerance, &viewing)?;
+        let viewing = progress.part(ends[5], ends[6]);
+        let sightings = views::all_sightings(&cloud, &numbered, &frames, settings.depth_tolerance, &masks_of, &viewing)?;
         outcome.produced = sightings.len();
         Ok::<_, ParseError>(sightings)
     })?;
+    let built = watch.time("instances", |outcome| {
+        let building = progress.part(ends[6], ends[7]);
+        let built = instances::build(&cloud, &superpoints, &planes, &numbered, sightings, &settings.instances, &building)?;
+        outcome.produced = built.instances.len();
+        Ok::<_, ParseError>(built)
+    })?;
+    let Built { mut instances, of_point: instance_of_point, sightings, dropped } = built;
     let looked_at = appearance::choose(&instances, &sightings, &settings.appearance);
     views::choose(&mut instances, sightings, &frames, &settings.views);
     let rows = match perception.is_neural() {
@@ -174,7 +177,7 @@ pub fn parse(
                 &instances,
                 looked_at,
                 labelled,
-                (perception.corrector.as_ref(), perception.encoder),
+                (perception.corrector.as_ref().map(|corrector| Correction { corrector, known: &masks_of }), perception.encoder),
                 &settings.appearance,
                 &looking,
             )?;
@@ -195,6 +198,7 @@ pub fn parse(
         superpoints: superpoints.patches.len() as u32,
         instances: instances.len() as u32,
         structural: instances.iter().filter(|i| i.structure.is_some()).count() as u32,
+        dropped,
         without_views: instances.iter().filter(|i| i.views.is_empty()).count() as u32,
         stages: watch.stages,
         warnings: warnings(frames.len(), &blind),

@@ -5,7 +5,7 @@
 //! surroundings votes on the region's points.
 
 use super::ParseError;
-use super::masks::IdRuns;
+use super::lifting::MasksOfFrames;
 use crate::geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
 use crate::progress::Progress;
 use crate::scene::{FrameRef, PointCloud, stream_frames};
@@ -45,19 +45,17 @@ pub fn refine(
     cloud: &PointCloud,
     mut region_of: Vec<u32>,
     frames: &[FrameRef],
-    masks: &[IdRuns],
+    masks: &MasksOfFrames,
     depth_tolerance: f32,
     progress: &Progress,
 ) -> Result<Vec<u32>, ParseError> {
     let mut votes = vec![Votes::default(); cloud.len()];
-    let of_frame: BTreeMap<_, _> = frames.iter().map(|f| f.index).zip(masks).collect();
     stream_frames(
         frames,
         |frame| {
             progress.check()?;
             let (depth, camera) = (frame.decode_depth()?, frame.depth_camera());
-            let ids = of_frame[&frame.index].unpacked();
-            let hits: Vec<(u32, u16)> = cloud
+            let seen: Vec<(u32, (u32, u32))> = cloud
                 .positions
                 .par_iter()
                 .enumerate()
@@ -67,10 +65,15 @@ pub fn refine(
                     let cell = pixel.cell();
                     let depth_m = depth.at(cell);
                     let visible = depth_m > 0.0 && (pixel.z_m - depth_m).abs() <= depth_tolerance * depth_m;
-                    visible.then(|| (i as u32, ids.at(cell)))
+                    visible.then_some((i as u32, cell))
                 })
                 .collect();
-            Ok::<_, ParseError>(told(&hits, &region_of))
+            let by_image = masks[&frame.index].iter().flat_map(|masks| {
+                let ids = masks.unpacked();
+                let hits: Vec<(u32, u16)> = seen.iter().map(|&(point, cell)| (point, ids.at(cell))).collect();
+                told(&hits, &region_of)
+            });
+            Ok::<_, ParseError>(by_image.collect::<Vec<_>>())
         },
         |i, told| {
             for (point, region) in told {

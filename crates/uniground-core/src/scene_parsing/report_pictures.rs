@@ -20,6 +20,8 @@ pub struct ReportPicture {
 /// Frames shown.
 const FRAMES: usize = 3;
 const STRUCTURE_GREY: [u8; 3] = [200, 200, 200];
+/// Of points that belong to nothing.
+const DROPPED_GREY: [u8; 3] = [90, 90, 90];
 
 /// Renders the pictures: two of the cloud, and one each of up to three frames spread over the scan.
 ///
@@ -70,6 +72,10 @@ fn recoloured(scene: &ParsedScene, colour: impl Fn(usize) -> [u8; 3] + Sync + Se
 }
 
 fn instance_colour(scene: &ParsedScene, id: InstanceId) -> [u8; 3] {
-    let structural = scene.instances[id.0 as usize - 1].structure.is_some();
-    if structural { STRUCTURE_GREY } else { id_colour(id.0) }
+    let instance = (id.0 as usize).checked_sub(1).map(|i| &scene.instances[i]);
+    match instance {
+        None => DROPPED_GREY,
+        Some(instance) if instance.structure.is_some() => STRUCTURE_GREY,
+        Some(_) => id_colour(id.0),
+    }
 }

@@ -2,11 +2,14 @@
 
 use super::ParseError;
 use super::appearance::Boxes;
+use super::lifting::MasksOfFrames;
+use super::masks::IdRuns;
 use crate::geometry::Point3;
 use crate::geometry::statistics::quantile;
 use crate::progress::Progress;
 use crate::scene::{Camera, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View, stream_frames};
 use rayon::prelude::*;
+use std::collections::BTreeMap;
 use uniground_types::settings::ViewSettings;
 
 /// One frame's sight of one instance.
@@ -16,9 +19,23 @@ pub struct Sighting {
     pub instance: InstanceId,
     /// The frame, how many points it shows, and the box around them.
     pub view: View,
+    /// IoU of the points it shows and those of the mask that fits them best; 0 without masks.
+    pub agreement: f32,
 }
 
-/// The visible points of every instance this frame shows, sorted by instance, then column and row in its colour picture.
+/// A point of an instance that a frame shows.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct VisiblePoint {
+    /// What it belongs to.
+    pub instance: InstanceId,
+    /// Column and row in the colour picture.
+    pub at: (f32, f32),
+    /// Pixel of the depth image.
+    pub cell: (u32, u32),
+}
+
+/// The visible points of every instance this frame shows, sorted by instance, then column and row in its colour picture. Points of none
+/// (id 0) are left out.
 #[must_use]
 pub fn visible_pixels(
     cloud: &PointCloud,
@@ -26,26 +43,27 @@ pub fn visible_pixels(
     frame: &FrameRef,
     depth: &DepthImage,
     depth_tolerance: f32,
-) -> Vec<(InstanceId, f32, f32)> {
+) -> Vec<VisiblePoint> {
     let (depth_camera, colour_camera) = (frame.depth_camera(), frame.colour_camera());
-    let mut hits: Vec<(InstanceId, f32, f32)> = cloud
+    let mut hits: Vec<VisiblePoint> = cloud
         .positions
         .par_iter()
         .with_min_len(1 << 14)
         .zip(instance_of_point)
+        .filter(|(_, instance)| instance.0 != 0)
         .filter_map(|(p, &instance)| {
             let seen = depth_camera.project(p)?;
             let depth_m = depth.at(seen.cell());
             let visible = depth_m > 0.0 && (seen.z_m - depth_m).abs() <= depth_tolerance * depth_m;
             let pixel = visible.then(|| colour_camera.project(p)).flatten()?;
-            Some((instance, pixel.u, pixel.v))
+            Some(VisiblePoint { instance, at: (pixel.u, pixel.v), cell: seen.cell() })
         })
         .collect();
-    hits.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.total_cmp(&b.2)));
+    hits.sort_unstable_by(|a, b| a.instance.cmp(&b.instance).then(a.at.0.total_cmp(&b.at.0)).then(a.at.1.total_cmp(&b.at.1)));
     hits
 }
 
-/// Every instance this frame shows, in order of id.
+/// Every instance this frame shows, in order of id; `masks` are the frame's id images.
 ///
 /// The box in the picture is robust: the outermost 1 % of the visible points at each side are left out.
 #[must_use]
@@ -55,29 +73,52 @@ pub fn sightings(
     frame: &FrameRef,
     depth: &DepthImage,
     depth_tolerance: f32,
+    masks: &[IdRuns],
 ) -> Vec<Sighting> {
     let hits = visible_pixels(cloud, instance_of_point, frame, depth, depth_tolerance);
     let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
-    hits.chunk_by(|a, b| a.0 == b.0)
+    let agreements = agreements(&hits, masks);
+    hits.chunk_by(|a, b| a.instance == b.instance)
         .map(|hits| {
-            let bound =
-                |of: &dyn Fn(&(InstanceId, f32, f32)) -> f32, q| quantile(&mut hits.iter().map(of).collect::<Vec<_>>(), q).unwrap_or(0.0);
-            let (u, v) = (|hit: &(InstanceId, f32, f32)| hit.1, |hit: &(InstanceId, f32, f32)| hit.2);
+            let bound = |of: &dyn Fn(&VisiblePoint) -> f32, q| quantile(&mut hits.iter().map(of).collect::<Vec<_>>(), q).unwrap_or(0.0);
+            let (u, v) = (|hit: &VisiblePoint| hit.at.0, |hit: &VisiblePoint| hit.at.1);
             // At least one pixel each way, inside the picture.
-            let span = |of: &dyn Fn(&(InstanceId, f32, f32)) -> f32, len: u32| {
+            let span = |of: &dyn Fn(&VisiblePoint) -> f32, len: u32| {
                 let low = bound(of, TRIM).floor().clamp(0.0, len as f32 - 1.0) as u32;
                 (low, (bound(of, 1.0 - TRIM).ceil() as u32).clamp(low + 1, len))
             };
             let ((left, right), (top, bottom)) = (span(&u, width), span(&v, height));
             let box_px = [left, top, right, bottom];
-            Sighting { instance: hits[0].0, view: View { frame: frame.index, visible_points: hits.len() as u32, box_px } }
+            let instance = hits[0].instance;
+            let view = View { frame: frame.index, visible_points: hits.len() as u32, box_px };
+            Sighting { instance, view, agreement: agreements.get(&instance).copied().unwrap_or(0.0) }
         })
         .collect()
 }
 
+/// For each instance the best IoU of its visible points with those of a mask.
+fn agreements(hits: &[VisiblePoint], masks: &[IdRuns]) -> BTreeMap<InstanceId, f32> {
+    let mut best: BTreeMap<InstanceId, f32> = BTreeMap::new();
+    for ids in masks.iter().map(IdRuns::unpacked) {
+        let mut shared: BTreeMap<(InstanceId, u16), u32> = BTreeMap::new();
+        hits.iter().for_each(|hit| *shared.entry((hit.instance, ids.at(hit.cell))).or_default() += 1);
+        let (mut of_instance, mut of_mask) = (BTreeMap::new(), BTreeMap::new());
+        for (&(instance, mask), &n) in &shared {
+            *of_instance.entry(instance).or_insert(0) += n;
+            *of_mask.entry(mask).or_insert(0) += n;
+        }
+        for ((instance, mask), both) in shared.into_iter().filter(|((_, mask), _)| *mask != 0) {
+            let iou = both as f32 / (of_instance[&instance] + of_mask[&mask] - both) as f32;
+            let so_far = best.entry(instance).or_default();
+            *so_far = so_far.max(iou);
+        }
+    }
+    best
+}
+
 const TRIM: f32 = 0.01;
 
-/// The [`sightings`] of all frames, in order; only their depth is decoded.
+/// The [`sightings`] of all frames, in order; only their depth is decoded. Frames that have no `masks` agree with nothing.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
@@ -86,6 +127,7 @@ pub fn all_sightings(
     instance_of_point: &[InstanceId],
     frames: &[FrameRef],
     depth_tolerance: f32,
+    masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<Vec<Sighting>, ParseError> {
     let mut all = Vec::new();
@@ -93,7 +135,8 @@ pub fn all_sightings(
         frames,
         |frame| {
             progress.check()?;
-            Ok::<_, ParseError>(sightings(cloud, instance_of_point, frame, &frame.decode_depth()?, depth_tolerance))
+            let masks = masks.get(&frame.index).map_or(&[][..], Vec::as_slice);
+            Ok::<_, ParseError>(sightings(cloud, instance_of_point, frame, &frame.decode_depth()?, depth_tolerance, masks))
         },
         |i, seen| {
             all.extend(seen);
@@ -106,7 +149,7 @@ pub fn all_sightings(
 /// Gives each instance its views: the best first, then the farthest camera centre among those that show it well.
 pub fn choose(instances: &mut [Instance], sightings: Vec<Sighting>, frames: &[FrameRef], settings: &ViewSettings) {
     let mut per_instance: Vec<Vec<View>> = vec![Vec::new(); instances.len()];
-    for Sighting { instance, view } in sightings {
+    for Sighting { instance, view, .. } in sightings {
         per_instance[instance.0 as usize - 1].push(view);
     }
     instances.par_iter_mut().zip(per_instance).for_each(|(instance, seen)| {
@@ -154,6 +197,7 @@ fn spread(mut seen: Vec<View>, settings: &ViewSettings, center: impl Fn(FrameInd
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene_parsing::masks::IdImage;
 
     fn view(frame: u32, visible_points: u32) -> View {
         View { frame: FrameIndex(frame), visible_points, box_px: [0, 0, 10, 10] }
@@ -165,6 +209,21 @@ mod tests {
         let seen = vec![view(0, 80), view(1, 100), view(2, 90), view(6, 70), view(9, 10)];
         let chosen = spread(seen, &ViewSettings::default(), |f| Point3::new(f.0 as f32, 0.0, 0.0));
         assert_eq!(chosen.iter().map(|v| v.frame.0).collect::<Vec<_>>(), [1, 6, 2]);
+    }
+
+    #[test]
+    fn an_instance_agrees_with_the_mask_that_shows_just_it() {
+        // Six pixels in a row: instance 1 on four, 2 on two. Mask 5 is instance 1 less a pixel; mask 7 the rest.
+        let hits: Vec<VisiblePoint> = (0..6)
+            .map(|i| VisiblePoint { instance: InstanceId(if i < 4 { 1 } else { 2 }), at: (i as f32, 0.0), cell: (i, 0) })
+            .collect();
+        let image = |ids: [u16; 6]| IdRuns::of(&IdImage { width: 6, height: 1, ids: ids.to_vec() });
+        let parts = image([5, 5, 5, 7, 7, 7]);
+        let found = agreements(&hits, std::slice::from_ref(&parts));
+        assert_eq!(found, BTreeMap::from([(InstanceId(1), 0.75), (InstanceId(2), 2.0 / 3.0)]));
+        let whole = agreements(&hits, &[parts, image([3, 3, 3, 3, 0, 0])]);
+        assert_eq!(whole, BTreeMap::from([(InstanceId(1), 1.0), (InstanceId(2), 2.0 / 3.0)]));
+        assert!(agreements(&hits, &[]).is_empty());
     }
 
     #[test]

@@ -19,7 +19,7 @@ impl Default for FrameSamplingSettings {
     }
 }
 
-/// How stray points and the sensor's noise are kept out of the boxes of instances.
+/// Which regions become instances, and how stray points and the sensor's noise are kept out of their boxes.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
@@ -36,11 +36,21 @@ pub struct InstanceSettings {
     pub stray_neighbours: u32,
     /// Edge of the voxels stray points are looked for in, metres.
     pub stray_voxel_m: f32,
+    /// Regions with which no mask agrees better (IoU over their visible points, mean over frames) are no instances. Not in the paper.
+    pub min_agreement: f32,
 }
 
 impl Default for InstanceSettings {
     fn default() -> Self {
-        Self { stray_share: 0.001, thin_sigmas: 12.0, noise_sigmas: 1.5, trim: 0.02, stray_neighbours: 4, stray_voxel_m: 0.03 }
+        Self {
+            stray_share: 0.001,
+            thin_sigmas: 12.0,
+            noise_sigmas: 1.5,
+            trim: 0.02,
+            stray_neighbours: 4,
+            stray_voxel_m: 0.03,
+            min_agreement: 0.2,
+        }
     }
 }
 

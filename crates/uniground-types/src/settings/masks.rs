@@ -57,11 +57,25 @@ pub enum MaskOrder {
     LargerFirst,
 }
 
-/// Masks of a promptable segmentation model, asked at a grid of points over each picture.
+/// Where a promptable segmenter is asked.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum SamPrompts {
+    /// At every point of a grid, as its authors do.
+    Grid,
+    /// In the middle of each built-in mask that no sure mask of about its size covers yet, then at the points of the grid that no sure mask
+    /// covers at all: a fraction of the questions.
+    Segments,
+}
+
+/// Masks of a promptable segmentation model, asked at points of each picture.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields, default)]
 pub struct SamSettings {
+    /// Where it is asked.
+    pub prompts: SamPrompts,
     /// Points per side of the grid.
     pub points_per_side: u32,
     /// Also asks four overlapping quarters of each picture, each with half the points per side: small things, at five times the encoding.
@@ -82,6 +96,8 @@ pub struct SamSettings {
     pub max_masks: u32,
     /// Which masks are painted last, over the others.
     pub order: MaskOrder,
+    /// Whether a second id image has a vote, in which wholes cover their parts: masks up to a quarter of the picture, the largest last.
+    pub wholes: bool,
     /// Encoded pictures are kept on disk until the parse is done, for the prompts of defect correction; at most so many megabytes.
     pub cache_mb: u32,
 }
@@ -89,6 +105,7 @@ pub struct SamSettings {
 impl Default for SamSettings {
     fn default() -> Self {
         Self {
+            prompts: SamPrompts::Segments,
             points_per_side: 16,
             quarters: false,
             min_predicted_iou: 0.5,
@@ -99,6 +116,7 @@ impl Default for SamSettings {
             max_area: 0.9,
             max_masks: 400,
             order: MaskOrder::AscendingQuality,
+            wholes: true,
             cache_mb: 4096,
         }
     }
@@ -108,6 +126,13 @@ impl SamSettings {
     /// What the segmenter's authors use, as the paper does where it says nothing else.
     #[must_use]
     pub fn paper() -> Self {
-        Self { points_per_side: 32, min_predicted_iou: 0.88, min_stability: 0.95, ..Self::default() }
+        Self {
+            prompts: SamPrompts::Grid,
+            wholes: false,
+            points_per_side: 32,
+            min_predicted_iou: 0.88,
+            min_stability: 0.95,
+            ..Self::default()
+        }
     }
 }

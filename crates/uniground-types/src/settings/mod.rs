@@ -12,7 +12,7 @@ mod superpoints;
 
 pub use import::{FusionSettings, ImportSettings};
 pub use instances::{FrameSamplingSettings, InstanceSettings, ViewSettings};
-pub use masks::{MaskOrder, RgbdSettings, SamSettings};
+pub use masks::{MaskOrder, RgbdSettings, SamPrompts, SamSettings};
 pub use merging::{MergeSettings, Normalisation, PartMergingSettings};
 pub use neural::{AppearanceSettings, CorrectionSettings};
 pub use parsing::ParsingSettings;

@@ -13,11 +13,13 @@ pub struct CorrectionSettings {
     pub points: u32,
     /// A mask agrees with the projection from this F-score on: it holds its pixels and not much else.
     pub min_agreement: f32,
+    /// From this F-score on a mask that was found in the frame anyway is believed, and the segmenter not asked again. `null`: always ask.
+    pub known_agreement: Option<f32>,
 }
 
 impl Default for CorrectionSettings {
     fn default() -> Self {
-        Self { rounds: 2, points: 5, min_agreement: 0.6 }
+        Self { rounds: 2, points: 5, min_agreement: 0.6, known_agreement: Some(0.8) }
     }
 }
 
@@ -25,7 +27,7 @@ impl CorrectionSettings {
     /// As many rounds as the paper makes.
     #[must_use]
     pub fn paper() -> Self {
-        Self { rounds: 10, ..Self::default() }
+        Self { rounds: 10, known_agreement: None, ..Self::default() }
     }
 }
 

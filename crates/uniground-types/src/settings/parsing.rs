@@ -67,7 +67,13 @@ impl ParsingSettings {
             merging: MergeSettings { keep_planes_apart: false, ..MergeSettings::default() },
             part_merging: PartMergingSettings { enabled: false, ..PartMergingSettings::default() },
             refine_borders: false,
-            instances: InstanceSettings { stray_share: 0.0, thin_sigmas: 0.0, stray_neighbours: 0, ..InstanceSettings::default() },
+            instances: InstanceSettings {
+                stray_share: 0.0,
+                thin_sigmas: 0.0,
+                stray_neighbours: 0,
+                min_agreement: 0.0,
+                ..InstanceSettings::default()
+            },
             sam_masks: SamSettings::paper(),
             correction: CorrectionSettings::paper(),
             appearance: AppearanceSettings::paper(),
@@ -97,7 +103,7 @@ impl ParsingSettings {
         let positive = |v: f32| v.is_finite() && v > 0.0;
         let share = |v: f32| (0.0..=1.0).contains(&v);
         let weight = |v: f32| v.is_finite() && v >= 0.0;
-        let rules: [(&str, bool, &str); 50] = [
+        let rules: [(&str, bool, &str); 52] = [
             ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
             ("/frame_sampling/max_frames", frame_sampling.max_frames != Some(0), "at least 1, or null"),
             ("/superpoints/voxel_m", (0.001..=10.0).contains(&superpoints.voxel_m), "0.001 to 10 metres"),
@@ -152,11 +158,13 @@ impl ParsingSettings {
             ("/instances/noise_sigmas", weight(instances.noise_sigmas), "0 or more"),
             ("/instances/trim", (0.0..0.5).contains(&instances.trim), "0 to 0.5"),
             ("/instances/stray_voxel_m", (0.001..=10.0).contains(&instances.stray_voxel_m), "0.001 to 10 metres"),
+            ("/instances/min_agreement", share(instances.min_agreement), "0 to 1"),
             ("/views/min_share_of_best", share(views.min_share_of_best), "0 to 1"),
             ("/views/count", (1..=16).contains(&views.count), "1 to 16"),
             ("/correction/rounds", correction.rounds <= 100, "at most 100"),
             ("/correction/points", (1..=100).contains(&correction.points), "1 to 100"),
             ("/correction/min_agreement", share(correction.min_agreement), "0 to 1"),
+            ("/correction/known_agreement", correction.known_agreement.is_none_or(share), "0 to 1, or null"),
             ("/appearance/views", (1..=100).contains(&appearance.views), "1 to 100"),
             ("/appearance/min_visible", share(appearance.min_visible), "0 to 1"),
             (

@@ -7,11 +7,11 @@ use camino::{Utf8Path, Utf8PathBuf};
 use std::sync::Arc;
 use uniground_types::models::{LoadedModel, Role};
 
-/// Segmenter and encoder, where there are any. Cheap to clone.
+/// Segmenters and encoder, where there are any. Cheap to clone.
 #[derive(Clone, Default)]
 pub struct Models {
-    /// Makes 2D masks; `None`: they are cut by depth and colour (docs/METHOD.md, section 1.3).
-    pub segmenter: Option<Arc<Segmenter>>,
+    /// Make 2D masks, each its own, and the first corrects outlines; none: masks are cut by depth and colour (docs/METHOD.md, section 1.3).
+    pub segmenters: Vec<Arc<Segmenter>>,
     /// Embeds pictures and words; `None`: names come from measures (docs/METHOD.md, section 1.10).
     pub encoder: Option<Arc<DualEncoder>>,
     /// What callers are told of each, in the order of loading.
@@ -37,7 +37,7 @@ pub fn folder_of(bundle: &str, folder: &Utf8Path) -> Utf8PathBuf {
 }
 
 impl Models {
-    /// Loads a segmenter.
+    /// Loads a segmenter, after those there are.
     ///
     /// # Errors
     /// [`ModelError`] naming file and tensor.
@@ -48,7 +48,7 @@ impl Models {
         let decoder = engine.open(&bundle, &manifest.decoder.file, AT_ONCE, Work::Parsing)?;
         let segmenter = Segmenter::new(&bundle, manifest, encoder, decoder)?;
         self.note(engine, &bundle, Role::Masks, None, segmenter.batch(), &manifest.licence)?;
-        self.segmenter = Some(Arc::new(segmenter));
+        self.segmenters.push(Arc::new(segmenter));
         Ok(self)
     }
 
@@ -72,7 +72,7 @@ impl Models {
     pub fn only(&self, masks: bool, encoder: bool) -> Self {
         let wanted = |role: Role| if role == Role::Masks { masks } else { encoder };
         Self {
-            segmenter: self.segmenter.clone().filter(|_| masks),
+            segmenters: if masks { self.segmenters.clone() } else { Vec::new() },
             encoder: self.encoder.clone().filter(|_| encoder),
             loaded: self.loaded.iter().filter(|model| wanted(model.role)).cloned().collect(),
         }
@@ -100,11 +100,12 @@ impl Models {
         Ok(())
     }
 
-    /// What a loaded model is recorded as: its name and the beginning of its fingerprint.
+    /// What the loaded models of a role are recorded as: their names, each with the beginning of its fingerprint, joined by `+`.
     #[must_use]
     pub fn label(&self, role: Role) -> Option<String> {
-        let model = self.loaded.iter().find(|model| model.role == role)?;
-        Some(format!("{}@{}", model.name, &model.fingerprint[..12]))
+        let of_role = self.loaded.iter().filter(|model| model.role == role);
+        let labels: Vec<String> = of_role.map(|model| format!("{}@{}", model.name, &model.fingerprint[..12])).collect();
+        (!labels.is_empty()).then(|| labels.join("+"))
     }
 }
 

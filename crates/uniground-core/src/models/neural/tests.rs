@@ -24,7 +24,7 @@ pub fn tiny_encoder() -> Arc<DualEncoder> {
 }
 
 pub fn tiny_segmenter(name: &str) -> Arc<Segmenter> {
-    Models::default().with_segmenter(&engine(), &data(name)).unwrap().segmenter.unwrap()
+    Models::default().with_segmenter(&engine(), &data(name)).unwrap().segmenters.remove(0)
 }
 
 fn picture(path: &str) -> RgbImage {

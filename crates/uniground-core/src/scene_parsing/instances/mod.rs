@@ -1,4 +1,4 @@
-//! Regions to instances: boxes, colours, support, structure. Class-agnostic; flags never drop an instance.
+//! Regions to instances: boxes, colours, support, structure, and which regions are none. Class-agnostic.
 
 mod bounds;
 mod structure;
@@ -14,14 +14,46 @@ use crate::progress::{Cancelled, Progress};
 use crate::scene::{Instance, InstanceId, PointCloud};
 use crate::scene_parsing::planes::Planes;
 use crate::scene_parsing::superpoints::Superpoints;
+use crate::scene_parsing::views::Sighting;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 pub use support::supports;
 use uniground_types::settings::InstanceSettings;
 
-/// Builds instances from the region of each point. Returns them in order of id and the instance of each point.
+/// Regions as numbered instances-to-be: ids count from 1 in falling order of points; ties by the region's first point.
+#[must_use]
+pub fn numbered(region_of: &[u32]) -> Vec<InstanceId> {
+    let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
+    // Points of each region, and the first.
+    let mut sizes = vec![(0_u32, 0_u32); count];
+    for (i, &region) in region_of.iter().enumerate().rev() {
+        let (points, first) = &mut sizes[region as usize];
+        (*points, *first) = (*points + 1, i as u32);
+    }
+    let mut order: Vec<usize> = (0..count).filter(|&region| sizes[region].0 > 0).collect();
+    order.sort_by_key(|&region| (std::cmp::Reverse(sizes[region].0), sizes[region].1));
+    let mut ids = vec![InstanceId(0); count];
+    (1..).zip(order).for_each(|(id, region)| ids[region] = InstanceId(id));
+    region_of.iter().map(|&region| ids[region as usize]).collect()
+}
+
+/// What stage 1 takes for things and for parts of the building.
+pub struct Built {
+    /// In order of id.
+    pub instances: Vec<Instance>,
+    /// Of each point; 0: of none.
+    pub of_point: Vec<InstanceId>,
+    /// Of the instances, under their ids.
+    pub sightings: Vec<Sighting>,
+    /// Regions that became none.
+    pub dropped: u32,
+}
+
+/// Builds instances from [`numbered`] regions and their sightings. Regions that are none are dropped and the others close up.
 ///
-/// Ids count from 1 in falling order of points; ties by the region's first point.
+/// A thing is shown by masks of its own. What stands out of a wall where poses drift, the rims between things and other leftovers are in no
+/// mask, or under one of something else: on the mean over the frames that see it, weighted by its points they see, no mask agrees with it.
+/// Parts of the building are known by their planes, and what no frame sees is not judged.
 ///
 /// # Errors
 /// [`Cancelled`].
@@ -29,21 +61,16 @@ pub fn build(
     cloud: &PointCloud,
     superpoints: &Superpoints,
     planes: &Planes,
-    region_of: &[u32],
+    numbered: &[InstanceId],
+    sightings: Vec<Sighting>,
     settings: &InstanceSettings,
     progress: &Progress,
-) -> Result<(Vec<Instance>, Vec<InstanceId>), Cancelled> {
+) -> Result<Built, Cancelled> {
     progress.report("instances", 0.0)?;
-    let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
+    let count = numbered.iter().max().map_or(0, |id| id.0 as usize);
     let mut members: Vec<Vec<u32>> = vec![Vec::new(); count];
-    for (i, &region) in region_of.iter().enumerate() {
-        members[region as usize].push(i as u32);
-    }
-    members.retain(|points| !points.is_empty());
-    members.sort_by_key(|points| (std::cmp::Reverse(points.len()), points[0]));
-    let mut of_point = vec![InstanceId(0); cloud.len()];
-    for (i, points) in members.iter().enumerate() {
-        points.iter().for_each(|&p| of_point[p as usize] = InstanceId(i as u32 + 1));
+    for (i, id) in numbered.iter().enumerate() {
+        members[id.0 as usize - 1].push(i as u32);
     }
     let noise = Noise::of(superpoints);
     let shapes: Vec<Shape> = members
@@ -64,6 +91,17 @@ pub fn build(
             structure::of(shape, &on_plane.into_iter().collect::<Vec<_>>(), planes, floor_z)
         })
         .collect();
+    let shown = agreement(count, &sightings);
+    let stays = |i: usize| structures[i].is_some() || shown[i].is_none_or(|agreement| agreement >= settings.min_agreement);
+    let mut new_id = vec![InstanceId(0); count + 1];
+    (1..).zip((0..count).filter(|&i| stays(i))).for_each(|(id, i)| new_id[i + 1] = InstanceId(id));
+    let (shapes, structures): (Vec<Shape>, Vec<_>) = shapes
+        .into_iter()
+        .zip(structures)
+        .enumerate()
+        .filter(|(i, _)| new_id[i + 1].0 != 0)
+        .map(|(_, kept)| kept)
+        .unzip();
     let supports = supports(&shapes.iter().map(|shape| shape.aabb).collect::<Vec<_>>(), &structures, floor_z, progress)?;
     let instances = shapes
         .into_iter()
@@ -86,8 +124,23 @@ pub fn build(
             names: Vec::new(),
             given_name: None,
         })
-        .collect();
-    Ok((instances, of_point))
+        .collect::<Vec<_>>();
+    let of_point = numbered.iter().map(|id| new_id[id.0 as usize]).collect();
+    let renumbered = |sighting: Sighting| Sighting { instance: new_id[sighting.instance.0 as usize], ..sighting };
+    let sightings = sightings.into_iter().map(renumbered).filter(|sighting| sighting.instance.0 != 0).collect();
+    let dropped = (count - instances.len()) as u32;
+    Ok(Built { instances, of_point, sightings, dropped })
+}
+
+/// How well masks agree with each of the numbered regions, `0..=1`; `None` where no frame sees it.
+fn agreement(count: usize, sightings: &[Sighting]) -> Vec<Option<f32>> {
+    let mut sums = vec![(0.0, 0.0); count];
+    for Sighting { instance, view, agreement } in sightings {
+        let (sum, weight) = &mut sums[instance.0 as usize - 1];
+        *sum += view.visible_points as f32 * agreement;
+        *weight += view.visible_points as f32;
+    }
+    sums.into_iter().map(|(sum, weight)| (weight > 0.0).then(|| sum / weight)).collect()
 }
 
 /// How far points lie from the surfaces they were measured on.

@@ -1,6 +1,6 @@
 //! 2D masks: which pixels of a frame belong to the same thing.
 //!
-//! A [`MaskSource`] gives one id image per frame; what the ids mean is only known within that frame.
+//! A [`MaskSource`] gives one id image per frame, or several that all have a vote; what the ids mean is only known within an image.
 
 pub mod rgbd;
 pub mod sam;
@@ -67,11 +67,31 @@ pub trait MaskSource: Send + Sync {
     /// Name and version, recorded with the parse.
     fn name(&self) -> &str;
 
-    /// The masks of one frame, at the resolution of its depth image. A model takes seconds, so it checks `progress` between its calls.
+    /// The masks of one frame, at the resolution of its depth image: as many id images for every frame. A model takes seconds, so it
+    /// checks `progress` between its calls.
     ///
     /// # Errors
     /// [`ParseError`] when a model fails or the caller has asked to stop; the built-in masks never fail.
-    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<IdImage, ParseError>;
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError>;
+}
+
+/// Several sources that all have a vote (paper: Semantic-SAM and SAM).
+pub struct Together<'a> {
+    /// In the order of their id images.
+    pub sources: Vec<&'a dyn MaskSource>,
+    /// Theirs, joined.
+    pub name: String,
+}
+
+impl MaskSource for Together<'_> {
+    fn name(&self) -> &str {
+        &self.name
+    }
+
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
+        let each = self.sources.iter().map(|source| source.masks(frame, progress));
+        Ok(each.collect::<Result<Vec<_>, _>>()?.concat())
+    }
 }
 
 #[cfg(test)]

@@ -27,11 +27,19 @@ impl MaskSource for RgbdMasks {
         "rgbd-2"
     }
 
-    fn masks(&self, frame: &Frame, _progress: &Progress) -> Result<IdImage, ParseError> {
+    fn masks(&self, frame: &Frame, _progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
+        Ok(vec![self.id_image(frame)])
+    }
+}
+
+impl RgbdMasks {
+    /// The masks of one frame.
+    #[must_use]
+    pub fn id_image(&self, frame: &Frame) -> IdImage {
         let surfaces = Surfaces::of(frame, self.settings.stride);
         let patches = patches::cut(&surfaces, &self.settings);
         let things = things::join(&surfaces, &patches, &self.settings);
-        Ok(spread(&surfaces, &things, frame))
+        spread(&surfaces, &things, frame)
     }
 }
 

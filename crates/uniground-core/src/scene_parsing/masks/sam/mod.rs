@@ -1,11 +1,13 @@
-//! Automatic masks of a promptable segmenter (paper: SAM). A grid of points is asked; masks that are stable and that the model is sure
-//! of stay, but of two that overlap much only the better one. Those left are painted into one id image.
+//! Automatic masks of a promptable segmenter (paper: SAM). Points are asked; masks that are stable and that the model is sure of stay, but
+//! of two that overlap much only the better one. Those left are painted into id images.
 
 mod encoded_frames;
 mod paint;
+mod spots;
 
 pub use encoded_frames::EncodedFrames;
 
+use super::rgbd::RgbdMasks;
 use super::{IdImage, MaskSource};
 use crate::models::neural::{Encoded, LowMask, Prompt};
 use crate::progress::Progress;
@@ -14,14 +16,17 @@ use crate::scene_parsing::ParseError;
 use half::f16;
 use half::slice::HalfFloatSliceExt;
 use image::imageops;
-use uniground_types::settings::{MaskOrder, SamSettings};
+use spots::Spot;
+use uniground_types::settings::{MaskOrder, RgbdSettings, SamPrompts, SamSettings};
 
 /// A mask source that asks a segmenter.
 pub struct SamMasks<'a> {
     /// The segmenter, and the pictures it has encoded.
     pub frames: &'a EncodedFrames,
-    /// How densely it is asked, and which masks stay (docs/METHOD.md, section 1.3).
+    /// Where it is asked, and which masks stay (docs/METHOD.md, section 1.3).
     pub settings: SamSettings,
+    /// Of the built-in masks, for [`SamPrompts::Segments`].
+    pub segments: RgbdSettings,
     /// Name and fingerprint of the bundle.
     pub name: String,
 }
@@ -96,13 +101,22 @@ impl MaskSource for SamMasks<'_> {
         &self.name
     }
 
-    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<IdImage, ParseError> {
+    fn masks(&self, frame: &Frame, progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
         let mut candidates = Vec::new();
         let (width, height) = frame.colour.dimensions();
         let points = self.settings.points_per_side;
+        let wanted = match self.settings.prompts {
+            SamPrompts::Grid => spots::grid((width, height), points, true),
+            SamPrompts::Segments => {
+                let segments = RgbdMasks { settings: self.segments }.id_image(frame);
+                let mut wanted = spots::middles(&segments, frame, self.settings.min_area);
+                wanted.extend(spots::grid((width, height), points.div_ceil(2), false));
+                wanted
+            }
+        };
         let encoded = self.frames.of(frame.index, &frame.colour)?;
         let whole = Window { left: 0, top: 0, width, height, scale: self.frames.segmenter.low_scale(&encoded) };
-        self.ask(&encoded, whole, points, (width, height), &mut candidates, progress)?;
+        self.ask(&encoded, whole, wanted, (width, height), &mut candidates, progress)?;
         drop(encoded);
         if self.settings.quarters {
             let reach = |length: u32| ((length as f32 * (0.5 + QUARTER_OVERLAP)) as u32).clamp(1, length);
@@ -111,35 +125,38 @@ impl MaskSource for SamMasks<'_> {
                 let quarter = imageops::crop_imm(&frame.colour, left, top, w, h).to_image();
                 let encoded = self.frames.segmenter.encode(&quarter)?;
                 let window = Window { left, top, width: w, height: h, scale: self.frames.segmenter.low_scale(&encoded) };
-                self.ask(&encoded, window, points.div_ceil(2), (width, height), &mut candidates, progress)?;
+                let wanted = spots::grid((w, h), points.div_ceil(2), true);
+                self.ask(&encoded, window, wanted, (width, height), &mut candidates, progress)?;
             }
         }
-        Ok(paint::paint(self.select(candidates), &self.frames.segmenter, &self.settings, frame))
+        Ok(paint::paint(&self.select(candidates), &self.frames.segmenter, &self.settings, frame))
     }
 }
 
 impl SamMasks<'_> {
-    /// Asks a grid of points within a window, a few at a time.
+    /// Asks at spots within a window, a few at a time, but not where the masks found so far answer already.
     fn ask(
         &self,
         encoded: &Encoded,
         window: Window,
-        points: u32,
+        wanted: Vec<Spot>,
         picture: (u32, u32),
         candidates: &mut Vec<Candidate>,
         progress: &Progress,
     ) -> Result<(), ParseError> {
         let segmenter = &self.frames.segmenter;
-        let at = |i: u32, length: u32| (i as f32 + 0.5) * length as f32 / points as f32 - 0.5;
-        let grid = (0..points * points).map(|i| Prompt::inside([(at(i % points, window.width), at(i / points, window.height))]));
         let lookup = cell_lookup(window, picture, segmenter.mask_size());
-        let prompts: Vec<Prompt> = grid.collect();
-        for batch in prompts.chunks(segmenter.batch()) {
+        let mut wanted = wanted.into_iter();
+        loop {
             progress.check()?;
-            let masks = segmenter.decode(encoded, batch)?;
+            let open = |spot: &Spot| !spot.is_answered(picture, candidates);
+            let batch: Vec<Prompt> = wanted.by_ref().filter(open).take(segmenter.batch()).map(|spot| Prompt::inside([spot.at])).collect();
+            if batch.is_empty() {
+                return Ok(());
+            }
+            let masks = segmenter.decode(encoded, &batch)?;
             candidates.extend(masks.iter().flatten().filter_map(|mask| self.candidate(mask, window, &lookup)));
         }
-        Ok(())
     }
 
     /// A mask that is sure, stable, and neither a speck nor the whole picture.
@@ -182,6 +199,15 @@ impl SamMasks<'_> {
     }
 }
 
+impl Candidate {
+    /// Whether it holds a pixel of a picture of this size.
+    fn holds(&self, (x, y): (f32, f32), (width, height): (u32, u32)) -> bool {
+        let cell = |at: f32, length: u32| (((at + 0.5) / length as f32 * GRID as f32) as usize).min(GRID - 1);
+        let at = cell(y, height) * GRID + cell(x, width);
+        self.cells.get(at / 64).is_some_and(|word| word >> (at % 64) & 1 == 1)
+    }
+}
+
 /// IoU on the grid.
 fn overlap(a: &Candidate, b: &Candidate) -> f32 {
     let both: u32 = a.cells.iter().zip(&b.cells).map(|(x, y)| (x & y).count_ones()).sum();
@@ -208,14 +234,14 @@ fn cell_lookup(window: Window, (width, height): (u32, u32), mask_size: usize) ->
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use super::*;
     use crate::geometry::Isometry3;
     use crate::models::neural::tests::tiny_segmenter;
     use crate::scene::{Camera, DepthImage, FrameIndex, Intrinsics};
     use image::{Rgb, RgbImage};
 
-    fn frame() -> Frame {
+    pub(super) fn frame() -> Frame {
         let intrinsics = Intrinsics { width: 96, height: 64, fx: 80.0, fy: 80.0, cx: 47.5, cy: 31.5 };
         let camera = Camera::new(intrinsics, &Isometry3::identity());
         let colour =
@@ -230,9 +256,10 @@ mod tests {
 
     fn masks(bundle: &str, settings: SamSettings) -> IdImage {
         let frames = EncodedFrames::new(tiny_segmenter(bundle), None, 0).unwrap();
-        SamMasks { frames: &frames, settings, name: "tiny".into() }
+        SamMasks { frames: &frames, settings, segments: RgbdSettings::default(), name: "tiny".into() }
             .masks(&frame(), &Progress::silent())
             .unwrap()
+            .remove(0)
     }
 
     /// Random weights: nothing can be said about the masks but that they are there, bounded, and the same every time.
@@ -256,7 +283,8 @@ mod tests {
     fn a_caller_who_leaves_is_noticed_between_two_calls() {
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();
         let progress = Progress::new(|_, _| {}, || true);
-        let masks = SamMasks { frames: &frames, settings: SamSettings::default(), name: "tiny".into() }.masks(&frame(), &progress);
+        let masks = SamMasks { frames: &frames, settings: SamSettings::default(), segments: RgbdSettings::default(), name: "tiny".into() }
+            .masks(&frame(), &progress);
         assert!(matches!(masks, Err(ParseError::Cancelled(_))));
     }
 
@@ -276,10 +304,12 @@ mod tests {
         };
         let painted = |order| {
             let masks = vec![square(0.9, 40), square(0.6, 15)];
-            paint::paint(masks, &segmenter, &SamSettings { order, ..SamSettings::default() }, &frame())
+            paint::paint(&masks, &segmenter, &SamSettings { order, ..SamSettings::default() }, &frame())
         };
         // Ids count in the order of painting.
-        let (by_quality, by_size) = (painted(MaskOrder::AscendingQuality), painted(MaskOrder::LargerFirst));
+        let (images, by_size) = (painted(MaskOrder::AscendingQuality), painted(MaskOrder::LargerFirst).remove(0));
+        let [by_quality, wholes] = &images[..] else { panic!("two images were asked for") };
+        assert_eq!((wholes.count(), wholes.at((48, 32))), (1, 1), "the large one covers more than a quarter of the picture");
         assert_eq!((by_quality.at((48, 32)), by_quality.at((20, 32))), (2, 2), "the surer one covers its part");
         assert_eq!((by_size.at((48, 32)), by_size.at((20, 32)), by_size.at((2, 2))), (2, 1, 0), "the part lies on its whole");
     }
@@ -310,7 +340,7 @@ mod tests {
     #[test]
     fn the_better_of_two_that_say_the_same_stays() {
         let frames = EncodedFrames::new(tiny_segmenter("tiny-segmenter"), None, 0).unwrap();
-        let sam = SamMasks { frames: &frames, settings: SamSettings::default(), name: "tiny".into() };
+        let sam = SamMasks { frames: &frames, settings: SamSettings::default(), segments: RgbdSettings::default(), name: "tiny".into() };
         let window = Window { left: 0, top: 0, width: 96, height: 64, scale: (1.0, 1.0) };
         let candidate =
             |quality: f32, cells: u64| Candidate { quality, cells: vec![cells], area: cells.count_ones(), patch: Patch::default(), window };

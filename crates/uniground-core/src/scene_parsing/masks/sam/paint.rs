@@ -5,22 +5,38 @@ use super::{Candidate, GRID, MaskOrder, SamSettings};
 use crate::models::neural::{LowMask, Segmenter};
 use crate::scene::Frame;
 
-/// Paints masks over each other, in the order of the settings. Ids count from 1 in that order.
-pub(super) fn paint(mut masks: Vec<Candidate>, segmenter: &Segmenter, settings: &SamSettings, frame: &Frame) -> IdImage {
+/// Larger masks cover no parts of theirs: they are walls, or several things at once. Share of the picture.
+const LARGEST_WHOLE: f32 = 0.25;
+
+/// Paints masks, best first, over each other: in the order of the settings, and where wanted once more with wholes over their parts.
+pub(super) fn paint(masks: &[Candidate], segmenter: &Segmenter, settings: &SamSettings, frame: &Frame) -> Vec<IdImage> {
+    let mut ordered: Vec<&Candidate> = masks.iter().rev().collect();
+    if settings.order == MaskOrder::LargerFirst {
+        ordered = masks.iter().collect();
+        ordered.sort_by_key(|mask| std::cmp::Reverse(mask.area));
+    }
+    let mut images = vec![one_image(&ordered, segmenter, frame)];
+    if settings.wholes {
+        let largest = LARGEST_WHOLE * (GRID * GRID) as f32;
+        ordered = masks.iter().filter(|mask| mask.area as f32 <= largest).collect();
+        ordered.sort_by_key(|mask| mask.area);
+        images.push(one_image(&ordered, segmenter, frame));
+    }
+    images
+}
+
+/// Paints masks over each other in this order, ids counting from 1.
+fn one_image(masks: &[&Candidate], segmenter: &Segmenter, frame: &Frame) -> IdImage {
     // So far below the threshold that the border stays where it is.
     const OUTSIDE: f32 = -1e3;
     let threshold = segmenter.threshold();
-    match settings.order {
-        MaskOrder::AscendingQuality => masks.reverse(),
-        MaskOrder::LargerFirst => masks.sort_by_key(|mask| std::cmp::Reverse(mask.area)),
-    }
     let (width, height) = (frame.depth.width, frame.depth.height);
     let mut ids = vec![0; (width * height) as usize];
     // Where each column and row of the depth image lies in the colour picture.
     let columns: Vec<f32> = (0..width).map(|u| frame.colour_position(u as f32, 0.0).0).collect();
     let rows: Vec<f32> = (0..height).map(|v| frame.colour_position(0.0, v as f32).1).collect();
     let mut low = LowMask { logits: vec![OUTSIDE; segmenter.mask_size().pow(2)], predicted_iou: 0.0, index: 0 };
-    for (id, mask) in (1..=u16::MAX).zip(&masks) {
+    for (id, mask) in (1..=u16::MAX).zip(masks) {
         mask.patch.spread(threshold + OUTSIDE, &mut low.logits);
         let (colour_width, colour_height) = frame.colour.dimensions();
         let [left, top, right, bottom] = bounds(mask, colour_width, colour_height);
