@@ -50,6 +50,11 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     // Steps of today were not taken then.
     expected["settings"]["parsing"]["merging"]["keep_planes_apart"] = false.into();
     expected["settings"]["parsing"]["refine_borders"] = false.into();
+    expected["settings"]["parsing"]["sam_masks"]["prompts"] = "grid".into();
+    expected["settings"]["parsing"]["sam_masks"]["wholes"] = false.into();
+    expected["settings"]["parsing"]["correction"]["known_agreement"] = Value::Null;
+    expected["settings"]["parsing"]["instances"]["min_agreement"] = 0.0.into();
+    expected["report"]["dropped"] = 0.into();
     expected["settings"]["import"]["fusion"]["truncation_voxels"] = 5.0.into();
     let path = format!("v1/scenes/{}", scene.id);
     assert_eq!(serde_json::from_slice::<Value>(&get(&path).await).unwrap(), expected);

@@ -11,7 +11,7 @@ use crate::geometry::moments::Moments;
 use crate::geometry::statistics::{median, quantile};
 use crate::geometry::{Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
-use crate::scene::{Instance, InstanceId, PointCloud};
+use crate::scene::{Instance, InstanceId, PointCloud, Support};
 use crate::scene_parsing::planes::Planes;
 use crate::scene_parsing::superpoints::Superpoints;
 use crate::scene_parsing::views::Sighting;
@@ -95,14 +95,21 @@ pub fn build(
     let stays = |i: usize| structures[i].is_some() || shown[i].is_none_or(|agreement| agreement >= settings.min_agreement);
     let mut new_id = vec![InstanceId(0); count + 1];
     (1..).zip((0..count).filter(|&i| stays(i))).for_each(|(id, i)| new_id[i + 1] = InstanceId(id));
-    let (shapes, structures): (Vec<Shape>, Vec<_>) = shapes
+    let (mut shapes, structures): (Vec<Shape>, Vec<_>) = shapes
         .into_iter()
         .zip(structures)
         .enumerate()
         .filter(|(i, _)| new_id[i + 1].0 != 0)
         .map(|(_, kept)| kept)
         .unzip();
-    let supports = supports(&shapes.iter().map(|shape| shape.aabb).collect::<Vec<_>>(), &structures, floor_z, progress)?;
+    let boxes: Vec<Aabb> = shapes.iter().map(|shape| shape.aabb).collect();
+    let mut supports = supports(&boxes, &structures, floor_z, progress)?;
+    for (i, support) in supports.iter_mut().enumerate().filter(|(_, support)| **support == Support::Nothing) {
+        if let Some((surface_z, on)) = support::on_legs(i, &boxes, &structures, floor_z) {
+            *support = on;
+            shapes[i].reach_down_to(surface_z);
+        }
+    }
     let instances = shapes
         .into_iter()
         .zip(structures)
@@ -201,6 +208,17 @@ impl Shape {
     }
 }
 
+impl Shape {
+    /// Its legs were not seen.
+    fn reach_down_to(&mut self, bottom_z: f32) {
+        let (min, max) = (self.aabb.min(), self.aabb.max());
+        self.aabb = Aabb::from_corners(Point3::new(min.x, min.y, bottom_z), max);
+        let OrientedBox { center, size, .. } = &mut self.oriented_box;
+        let top = center.z + size.z / 2.0;
+        (center.z, size.z) = ((top + bottom_z) / 2.0, top - bottom_z);
+    }
+}
+
 /// Points this close to the best plane count as on it, metres.
 const ON_PLANE_M: f32 = 0.03;
 
@@ -211,4 +229,55 @@ pub fn planarity(positions: &[Point3<f32>]) -> f32 {
     let (_, normal) = least_axis(&covariance);
     let on_plane = positions.iter().filter(|p| (*p - mean).dot(&normal).abs() <= ON_PLANE_M).count();
     on_plane as f32 / positions.len().max(1) as f32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{FrameIndex, View};
+
+    #[test]
+    fn regions_are_numbered_by_points_and_ties_by_their_first() {
+        let ids: Vec<u32> = numbered(&[7, 2, 2, 0, 2, 0, 5]).into_iter().map(|id| id.0).collect();
+        assert_eq!(ids, [3, 1, 1, 2, 1, 2, 4]);
+    }
+
+    #[test]
+    fn agreement_is_weighed_by_what_a_frame_shows_and_unseen_regions_have_none() {
+        let seen = |instance, frame, visible_points, agreement| Sighting {
+            instance: InstanceId(instance),
+            view: View { frame: FrameIndex(frame), visible_points, box_px: [0, 0, 9, 9] },
+            agreement,
+        };
+        let found = agreement(3, &[seen(1, 0, 300, 0.8), seen(3, 0, 50, 0.0), seen(1, 1, 100, 0.4)]);
+        assert_eq!(found.iter().map(|a| a.map(|a| (a * 100.0_f32).round())).collect::<Vec<_>>(), [Some(70.0), None, Some(0.0)]);
+    }
+
+    /// A block and a sliver beside it, seen by one frame in which no mask shows the sliver.
+    #[test]
+    fn a_region_no_mask_shows_is_dropped_and_the_others_close_up() {
+        let block = |x: f32, side: u16| {
+            (0..side.pow(3)).map(move |i| {
+                let at = |k: u16| f32::from(i / side.pow(u32::from(k)) % side) * 0.02;
+                Point3::new(x + at(0), at(1), at(2))
+            })
+        };
+        let positions: Vec<Point3<f32>> = block(0.0, 10).chain(block(1.0, 8)).chain(block(2.0, 6)).collect();
+        let region_of: Vec<u32> = [(0, 1000), (1, 512), (2, 216)].into_iter().flat_map(|(r, n)| std::iter::repeat_n(r, n)).collect();
+        let cloud = PointCloud { colours: vec![[90; 3]; positions.len()], positions };
+        let superpoints =
+            Superpoints { of_point: region_of.clone(), patches: Vec::new(), adjacent: Vec::new(), roughness_m: vec![0.002; 3] };
+        let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; 3] };
+        let seen = |instance, agreement| Sighting {
+            instance: InstanceId(instance),
+            view: View { frame: FrameIndex(0), visible_points: 100, box_px: [0, 0, 9, 9] },
+            agreement,
+        };
+        let sightings = vec![seen(1, 0.9), seen(2, 0.1), seen(3, 0.5)];
+        let settings = InstanceSettings::default();
+        let built = build(&cloud, &superpoints, &planes, &numbered(&region_of), sightings, &settings, &Progress::silent()).unwrap();
+        assert_eq!((built.dropped, built.instances.iter().map(|i| i.point_count).collect::<Vec<_>>()), (1, vec![1000, 216]));
+        assert_eq!((built.of_point[0].0, built.of_point[1200].0, built.of_point[1600].0), (1, 0, 2));
+        assert_eq!(built.sightings.iter().map(|s| s.instance.0).collect::<Vec<_>>(), [1, 2]);
+    }
 }
