@@ -29,14 +29,16 @@ use crate::geometry::boxes::Aabb;
 use crate::models::neural::{DualEncoder, ModelError};
 use crate::models::{attributes, calibration};
 use crate::progress::{Cancelled, Progress};
-use crate::scene::{FrameError, ParseReport, ParsedScene, SceneBundle};
+use crate::scene::{FrameError, FrameRef, ParseReport, ParsedScene, PointCloud, SceneBundle};
 use appearance::{Correction, Labelled};
 use checkpoints::Checkpoints;
 use correction::Corrector;
 use instances::Built;
-use lifting::{Lifted, Lifting};
+use lifting::{Lifted, Lifting, MasksOfFrames};
 use masks::MaskSource;
+use planes::Planes;
 pub use stopwatch::{StageOutcome, Stopwatch};
+use superpoints::Superpoints;
 pub use uniground_types::settings::ParsingSettings;
 
 /// Why a scene could not be cut into instances.
@@ -105,52 +107,8 @@ pub fn parse(
     let mut watch = Stopwatch::default();
     let ends = perception.ends();
 
-    let superpoints = watch.time("superpoints", |outcome| {
-        let compute = || superpoints::compute(&cloud, &settings.superpoints, &progress.part(0.0, ends[0]));
-        let (superpoints, reused) = checkpoints.once("superpoints", &settings.superpoints, compute)?;
-        *outcome = StageOutcome { produced: superpoints.patches.len(), reused };
-        Ok::<_, ParseError>(superpoints)
-    })?;
-    let planes = watch.time("planes", |outcome| {
-        let cameras: Vec<_> = frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
-        let planes = planes::find(&cloud, &superpoints, &cameras, &progress.part(ends[0], ends[1]))?;
-        outcome.produced = planes.planes.len();
-        Ok::<_, ParseError>(planes)
-    })?;
-    let masks = perception.masks;
-    let mask_settings = (masks.name(), &settings.rgbd_masks, &settings.sam_masks);
-    let lifted_with = (&settings.superpoints, &settings.frame_sampling, mask_settings, settings.depth_tolerance);
-    let lifted = watch.time("masks_and_lifting", |outcome| {
-        let lifting =
-            Lifting { cloud: &cloud, superpoint_of_point: &superpoints.of_point, masks, depth_tolerance: settings.depth_tolerance };
-        let (lifted, reused) = lifting.all(&frames, checkpoints.log("lifting", &lifted_with), &progress.part(ends[1], ends[2]))?;
-        *outcome = StageOutcome { produced: lifted.iter().flat_map(|l| &l.tables).map(|table| table.masks as usize).sum(), reused };
-        Ok::<_, ParseError>(lifted)
-    })?;
-    let (tables, masks_of) = Lifted::apart(lifted);
-    let blind: Vec<String> = tables.iter().filter(|t| t.layer == 0 && t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
-    let regions = watch.time("merging", |outcome| {
-        let compute = || merging::merge(&superpoints, &planes, tables, &settings.merging, &progress.part(ends[2], ends[3]));
-        let (regions, reused) = checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
-        *outcome = StageOutcome { produced: count(regions.last()), reused };
-        Ok::<_, ParseError>(regions)
-    })?;
-    let region_of = watch.time("part_merging", |outcome| {
-        let joined =
-            part_merging::join(&cloud, &superpoints, regions.last().to_vec(), &settings.part_merging, &progress.part(ends[3], ends[4]))?;
-        outcome.produced = count(&joined);
-        Ok::<_, ParseError>(joined)
-    })?;
-    let region_of = superpoints.spread(&region_of);
-    let region_of = match settings.refine_borders {
-        false => region_of,
-        true => watch.time("refinement", |outcome| {
-            let refining = progress.part(ends[4], ends[5]);
-            let refined = refinement::refine(&cloud, region_of, &frames, &masks_of, settings.depth_tolerance, &refining)?;
-            outcome.produced = count(&refined);
-            Ok::<_, ParseError>(refined)
-        })?,
-    };
+    let Grouped { superpoints, planes, masks_of, region_of, blind } =
+        group(&cloud, &frames, perception, settings, checkpoints, progress, &mut watch)?;
     let numbered = instances::numbered(&region_of);
     let sightings = watch.time("views", |outcome| {
         let viewing = progress.part(ends[5], ends[6]);
@@ -205,6 +163,76 @@ pub fn parse(
     };
     let superpoint_of_point = superpoints.of_point;
     Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, embeddings, extent, report })
+}
+
+/// The points of a scan in regions, each a candidate for an instance, and what was found out on the way.
+struct Grouped {
+    superpoints: Superpoints,
+    planes: Planes,
+    masks_of: MasksOfFrames,
+    /// One region per point of the cloud.
+    region_of: Vec<u32>,
+    /// Frames that see no point of the cloud.
+    blind: Vec<String>,
+}
+
+/// Superpoints, planes, masks lifted to them, and the merging that turns these into regions.
+fn group(
+    cloud: &PointCloud,
+    frames: &[FrameRef],
+    perception: &Perception,
+    settings: &ParsingSettings,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+    watch: &mut Stopwatch,
+) -> Result<Grouped, ParseError> {
+    let ends = perception.ends();
+    let superpoints = watch.time("superpoints", |outcome| {
+        let compute = || superpoints::compute(cloud, &settings.superpoints, &progress.part(0.0, ends[0]));
+        let (superpoints, reused) = checkpoints.once("superpoints", &settings.superpoints, compute)?;
+        *outcome = StageOutcome { produced: superpoints.patches.len(), reused };
+        Ok::<_, ParseError>(superpoints)
+    })?;
+    let planes = watch.time("planes", |outcome| {
+        let cameras: Vec<_> = frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
+        let planes = planes::find(cloud, &superpoints, &cameras, &progress.part(ends[0], ends[1]))?;
+        outcome.produced = planes.planes.len();
+        Ok::<_, ParseError>(planes)
+    })?;
+    let masks = perception.masks;
+    let mask_settings = (masks.name(), &settings.rgbd_masks, &settings.sam_masks);
+    let lifted_with = (&settings.superpoints, &settings.frame_sampling, mask_settings, settings.depth_tolerance);
+    let lifted = watch.time("masks_and_lifting", |outcome| {
+        let lifting = Lifting { cloud, superpoint_of_point: &superpoints.of_point, masks, depth_tolerance: settings.depth_tolerance };
+        let (lifted, reused) = lifting.all(frames, checkpoints.log("lifting", &lifted_with), &progress.part(ends[1], ends[2]))?;
+        *outcome = StageOutcome { produced: lifted.iter().flat_map(|l| &l.tables).map(|table| table.masks as usize).sum(), reused };
+        Ok::<_, ParseError>(lifted)
+    })?;
+    let (tables, masks_of) = Lifted::apart(lifted);
+    let blind: Vec<String> = tables.iter().filter(|t| t.layer == 0 && t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
+    let regions = watch.time("merging", |outcome| {
+        let compute = || merging::merge(&superpoints, &planes, tables, &settings.merging, &progress.part(ends[2], ends[3]));
+        let (regions, reused) = checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
+        *outcome = StageOutcome { produced: count(regions.last()), reused };
+        Ok::<_, ParseError>(regions)
+    })?;
+    let region_of = watch.time("part_merging", |outcome| {
+        let joined =
+            part_merging::join(cloud, &superpoints, regions.last().to_vec(), &settings.part_merging, &progress.part(ends[3], ends[4]))?;
+        outcome.produced = count(&joined);
+        Ok::<_, ParseError>(joined)
+    })?;
+    let region_of = superpoints.spread(&region_of);
+    let region_of = match settings.refine_borders {
+        false => region_of,
+        true => watch.time("refinement", |outcome| {
+            let refining = progress.part(ends[4], ends[5]);
+            let refined = refinement::refine(cloud, region_of, frames, &masks_of, settings.depth_tolerance, &refining)?;
+            outcome.produced = count(&refined);
+            Ok::<_, ParseError>(refined)
+        })?,
+    };
+    Ok(Grouped { superpoints, planes, masks_of, region_of, blind })
 }
 
 /// What the one who reads the report should know, given the frames that see no point of the cloud.

@@ -11,7 +11,7 @@ use crate::geometry::moments::Moments;
 use crate::geometry::statistics::{median, quantile};
 use crate::geometry::{Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
-use crate::scene::{Instance, InstanceId, PointCloud, Support};
+use crate::scene::{Instance, InstanceId, PointCloud, Structure, Support};
 use crate::scene_parsing::planes::Planes;
 use crate::scene_parsing::superpoints::Superpoints;
 use crate::scene_parsing::views::Sighting;
@@ -79,18 +79,7 @@ pub fn build(
         .collect::<Result<_, Cancelled>>()?;
     let lowest_z = || quantile(&mut cloud.positions.iter().map(|p| p.z).collect::<Vec<_>>(), 0.01);
     let floor_z = planes.floor_z().or_else(lowest_z).unwrap_or(0.0);
-    let structures: Vec<_> = shapes
-        .iter()
-        .zip(&members)
-        .map(|(shape, points)| {
-            let mut on_plane: BTreeMap<u32, u32> = BTreeMap::new();
-            points
-                .iter()
-                .filter_map(|&p| planes.of_superpoint[superpoints.of_point[p as usize] as usize])
-                .for_each(|plane| *on_plane.entry(plane).or_default() += 1);
-            structure::of(shape, &on_plane.into_iter().collect::<Vec<_>>(), planes, floor_z)
-        })
-        .collect();
+    let structures = structures(&shapes, &members, superpoints, planes, floor_z);
     let shown = agreement(count, &sightings);
     let stays = |i: usize| structures[i].is_some() || shown[i].is_none_or(|agreement| agreement >= settings.min_agreement);
     let mut new_id = vec![InstanceId(0); count + 1];
@@ -137,6 +126,22 @@ pub fn build(
     let sightings = sightings.into_iter().map(renumbered).filter(|sighting| sighting.instance.0 != 0).collect();
     let dropped = (count - instances.len()) as u32;
     Ok(Built { instances, of_point, sightings, dropped })
+}
+
+/// Which part of the building each region is, if any.
+fn structures(shapes: &[Shape], members: &[Vec<u32>], superpoints: &Superpoints, planes: &Planes, floor_z: f32) -> Vec<Option<Structure>> {
+    shapes
+        .iter()
+        .zip(members)
+        .map(|(shape, points)| {
+            let mut on_plane: BTreeMap<u32, u32> = BTreeMap::new();
+            points
+                .iter()
+                .filter_map(|&p| planes.of_superpoint[superpoints.of_point[p as usize] as usize])
+                .for_each(|plane| *on_plane.entry(plane).or_default() += 1);
+            structure::of(shape, &on_plane.into_iter().collect::<Vec<_>>(), planes, floor_z)
+        })
+        .collect()
 }
 
 /// How well masks agree with each of the numbered regions, `0..=1`; `None` where no frame sees it.
@@ -215,7 +220,7 @@ impl Shape {
         self.aabb = Aabb::from_corners(Point3::new(min.x, min.y, bottom_z), max);
         let OrientedBox { center, size, .. } = &mut self.oriented_box;
         let top = center.z + size.z / 2.0;
-        (center.z, size.z) = ((top + bottom_z) / 2.0, top - bottom_z);
+        (center.z, size.z) = (f32::midpoint(top, bottom_z), top - bottom_z);
     }
 }
 
