@@ -5,17 +5,18 @@
 //! figures of the service.
 
 use super::annotated::{AnnotatedMasks, AnnotatedRoom};
-use super::segmentation::{InstanceScore, recall, score_instances};
+use super::segmentation::{AnnotatedObject, InstanceScore, recall, score_instances};
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{Frame, FrameIndex, InstanceId};
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
+use uniground_core::scene_parsing::labels::Labels;
 use uniground_core::scene_parsing::lifting::{FrameVisibility, Lifted, Lifting};
 use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
 use uniground_core::scene_parsing::superpoints::{self, Superpoints};
 use uniground_core::scene_parsing::{
-    ParseError, ParsingSettings, frame_sampling, instances, merging, part_merging, planes, refinement, views,
+    ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging, planes, refinement, views,
 };
 
 /// What one step leaves of each object.
@@ -50,11 +51,11 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
     let cameras: Vec<_> = frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
     let planes = planes::find(cloud, &superpoints, &cameras, &quiet)?;
     // Without sightings nothing is dropped.
-    let score_seen = |numbered: &[InstanceId], sightings| -> Result<InstanceScore, ParseError> {
-        let built = instances::build(cloud, &superpoints, &planes, numbered, sightings, &settings.instances, &quiet)?;
-        Ok(score_instances(&built.instances, &built.of_point, &objects, &room.truth))
+    let score_points = |region_of: &[u32]| -> Result<InstanceScore, ParseError> {
+        let labels = Labels::of_regions(region_of, &superpoints, Vec::new());
+        let built = instances::build(cloud, &superpoints, &planes, labels, Vec::new(), &settings.instances, &quiet)?;
+        Ok(score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth))
     };
-    let score_points = |region_of: &[u32]| score_seen(&instances::numbered(region_of), Vec::new());
     let score = |region_of: &[u32]| score_points(&superpoints.spread(region_of));
     let mut rungs = Vec::new();
     let mut push = |step: &str, pieces: usize, score: InstanceScore| {
@@ -74,11 +75,18 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
     push(
         "masks",
         count,
-        InstanceScore { objects: objects.len(), instances: count, box_iou: Vec::new(), point_iou: pixels, ap50: 0.0 },
+        InstanceScore {
+            objects: objects.len(),
+            instances: count,
+            box_iou: Vec::new(),
+            reachable_box_iou: Vec::new(),
+            point_iou: pixels,
+            ap50: 0.0,
+        },
     );
     push("lifted masks", count, score(&voted(&superpoints, &tables, &best))?);
 
-    let merged = merging::merge(&superpoints, &planes, tables, &settings.merging, &quiet)?;
+    let merged = merging::merge(&superpoints, &planes, &tables, &settings.merging, &quiet)?;
     let mut any: Option<InstanceScore> = None;
     let labels = |region_of: &[u32]| region_of.iter().max().map_or(0, |&r| r as usize + 1);
     let joined = part_merging::join(cloud, &superpoints, merged.last().to_vec(), &settings.part_merging, &quiet)?;
@@ -98,14 +106,38 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
     }
     let refined = refinement::refine(cloud, superpoints.spread(&joined), &frames, &masks_of, settings.depth_tolerance, &quiet)?;
     push("refined", labels(&refined), score_points(&refined)?);
-    let numbered = instances::numbered(&refined);
-    let sightings = views::all_sightings(cloud, &numbered, &frames, settings.depth_tolerance, &masks_of, &quiet)?;
-    let shown = score_seen(&numbered, sightings)?;
+    let proposals = hierarchy::propose(&superpoints, &planes, &merged, &joined, &tables, settings, &quiet)?;
+    let labels = Labels::of_regions(&refined, &superpoints, proposals);
+    let sightings = views::all_sightings(cloud, &labels, &frames, settings.depth_tolerance, &masks_of, &quiet)?;
+    let built = instances::build(cloud, &superpoints, &planes, labels, sightings, &settings.instances, &quiet)?;
+    let shown = score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth);
+    let point_iou = reached(&built.labels, &objects, &room.truth);
+    let with_all = InstanceScore { box_iou: shown.reachable_box_iou.clone(), point_iou, ..shown.clone() };
     push("shown by masks", shown.instances, shown);
+    push("with parts and wholes", built.instances.len(), with_all);
     if let Some(any) = any {
         push("any of these", 0, any);
     }
     Ok(rungs)
+}
+
+/// Best IoU of point sets per object, parts and wholes among the instances.
+fn reached(labels: &Labels, objects: &[AnnotatedObject], truth: &[u32]) -> Vec<f32> {
+    let (mut shared, mut of_instance, mut of_object) = (BTreeMap::new(), vec![0_u32; labels.len() + 1], BTreeMap::new());
+    for (point, &object) in truth.iter().enumerate() {
+        *of_object.entry(object).or_insert(0_u32) += 1;
+        for instance in labels.of(point) {
+            of_instance[instance.0 as usize] += 1;
+            *shared.entry((object, instance)).or_insert(0_u32) += 1;
+        }
+    }
+    let best = |object: &AnnotatedObject| {
+        let overlaps = shared.range((object.id, InstanceId(0))..=(object.id, InstanceId(u32::MAX)));
+        overlaps
+            .map(|((_, instance), both)| *both as f32 / (of_instance[instance.0 as usize] + of_object[&object.id] - both) as f32)
+            .fold(0.0, f32::max)
+    };
+    objects.iter().map(best).collect()
 }
 
 /// The annotated object most points of each superpoint belong to, 0 = none.

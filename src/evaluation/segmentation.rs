@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::scene::{Instance, InstanceId, Structure};
+use uniground_core::scene::{Instance, InstanceId, Level, Structure};
 
 /// The two IoU thresholds the field quotes.
 pub const IOU_THRESHOLDS: [f32; 2] = [0.25, 0.5];
@@ -66,8 +66,10 @@ pub struct AnnotatedObject {
 pub struct InstanceScore {
     pub objects: usize,
     pub instances: usize,
-    /// Best axis-aligned box IoU per object, in the order given.
+    /// Best axis-aligned box IoU of a thing per object, in the order given.
     pub box_iou: Vec<f32>,
+    /// The same with parts and wholes among the instances.
+    pub reachable_box_iou: Vec<f32>,
     /// Best IoU of point sets per object.
     pub point_iou: Vec<f32>,
     /// Average precision at a point-set IoU of 0.5. Instances rank by points; those that lie mostly on something
@@ -116,7 +118,7 @@ pub(super) fn recall(ious: &[f32]) -> [f32; 2] {
     IOU_THRESHOLDS.map(|at| ious.iter().filter(|iou| **iou >= at).count() as f32 / ious.len().max(1) as f32)
 }
 
-/// Scores instances, given in order of id with the instance of each point. `truth` has the annotated id of each point, 0 = none.
+/// Scores instances, given in order of id with the thing each point belongs to. `truth` has the annotated id of each point, 0 = none.
 ///
 /// # Panics
 /// When `truth` does not have one id per point.
@@ -134,15 +136,16 @@ pub fn score_instances(instances: &[Instance], of_point: &[InstanceId], objects:
         let all = u64::from(instances[instance.0 as usize - 1].point_count) + annotated.get(&object).copied().unwrap_or(0);
         both as f32 / (all - both).max(1) as f32
     };
-    let best = |of: &dyn Fn(&Instance) -> f32| instances.iter().map(of).fold(0.0, f32::max);
-    let box_iou = objects.iter().map(|o| best(&|i| i.aabb.iou(&o.aabb))).collect();
-    let point_iou = objects.iter().map(|o| best(&|i| iou(i.id, o.id))).collect();
+    let things = || instances.iter().filter(|i| i.level == Level::Thing);
+    let box_iou = objects.iter().map(|o| things().map(|i| i.aabb.iou(&o.aabb)).fold(0.0, f32::max)).collect();
+    let reachable_box_iou = objects.iter().map(|o| instances.iter().map(|i| i.aabb.iou(&o.aabb)).fold(0.0, f32::max)).collect();
+    let point_iou = objects.iter().map(|o| things().map(|i| iou(i.id, o.id)).fold(0.0, f32::max)).collect();
 
     // Instances are numbered by falling points: that is their rank.
     let wanted: BTreeMap<u32, usize> = objects.iter().enumerate().map(|(i, o)| (o.id, i)).collect();
     let mut found = vec![false; objects.len()];
     let mut hits = Vec::new();
-    for instance in instances {
+    for instance in things() {
         let overlaps = shared.range((instance.id, 0)..=(instance.id, u32::MAX));
         let Some((&(_, majority), _)) = overlaps.max_by_key(|&(&(_, id), &n)| (n, std::cmp::Reverse(id))) else { continue };
         let Some(&object) = wanted.get(&majority) else { continue };
@@ -150,7 +153,14 @@ pub fn score_instances(instances: &[Instance], of_point: &[InstanceId], objects:
         found[object] |= hit;
         hits.push(hit);
     }
-    InstanceScore { objects: objects.len(), instances: instances.len(), box_iou, point_iou, ap50: average_precision(&hits, objects.len()) }
+    InstanceScore {
+        objects: objects.len(),
+        instances: things().count(),
+        box_iou,
+        reachable_box_iou,
+        point_iou,
+        ap50: average_precision(&hits, objects.len()),
+    }
 }
 
 /// Area under the precision-recall curve, precision made monotone from the right (Pascal VOC 2010 and later).

@@ -10,7 +10,7 @@ use axum::extract::State;
 use axum::http::StatusCode;
 use axum::response::Response;
 use serde::Deserialize;
-use uniground_types::instances::{InstanceList, InstanceView, ViewPicture};
+use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture};
 use uniground_types::problem::Problem;
 use uniground_types::scene::InstanceId;
 use utoipa::IntoParams;
@@ -26,13 +26,17 @@ pub struct ListParameters {
     /// `next_cursor` of the page before.
     #[serde(default)]
     cursor: u32,
+    /// Things alone, their parts, wholes of several, or all of them.
+    #[serde(default)]
+    #[param(inline)]
+    level: Levels,
 }
 
 fn default_limit() -> u32 {
     100
 }
 
-/// The instances of a scene's current parse, in order of id: the largest first.
+/// The instances of a scene's current parse, in order of id: the largest first, then parts and wholes where these are asked for.
 #[utoipa::path(
     get, path = "/v1/scenes/{scene_id}/instances", tag = "instances", params(("scene_id" = String, Path), ListParameters),
     responses(
@@ -47,12 +51,12 @@ fn default_limit() -> u32 {
 pub async fn list(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-    Query(ListParameters { limit, cursor }): Query<ListParameters>,
+    Query(ListParameters { limit, cursor, level }): Query<ListParameters>,
 ) -> Result<Json<InstanceList>, Refused> {
     if !(1..=1000).contains(&limit) {
         return Err(Refused::invalid("limit", "must be 1 to 1000"));
     }
-    Ok(Json(app.service.instances(&scene_id, limit, cursor).await?))
+    Ok(Json(app.service.instances(&scene_id, level, limit, cursor).await?))
 }
 
 /// One instance.

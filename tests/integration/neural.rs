@@ -18,6 +18,7 @@ use uniground_core::grounding::QueryText;
 use uniground_core::models::neural::verify;
 use uniground_core::models::neural::{ModelError, Models, Role};
 use uniground_core::scene::Embeddings;
+use uniground_types::instances::Levels;
 use uniground_types::job::Job;
 use uniground_types::question::ShortlistRequest;
 
@@ -103,7 +104,7 @@ async fn models_take_part_from_the_upload_to_the_answer() {
             .join("embedding_norms.npy"),
     )
     .unwrap();
-    let instances = server.client.all_instances(&scene).await.unwrap();
+    let instances = server.client.all_instances(&scene, Levels::Things).await.unwrap();
     assert_eq!(Embeddings::read(&rows, &norms).map(|e| (e.len(), e.dim())).unwrap(), (instances.len(), 64));
 
     // The same settings again: nothing is computed.

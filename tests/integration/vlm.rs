@@ -8,6 +8,7 @@ use std::time::Duration;
 use uniground::config::{LimitsConfig, VlmConfig};
 use uniground_core::grounding::Status;
 use uniground_types::answer::Answer;
+use uniground_types::instances::Levels;
 use uniground_types::job::{Job, JobState};
 use uniground_types::question::{Ablation, EvidenceMode, GroundRequest, ReasonerChoice};
 use uniground_types::transcript::PromptPart;
@@ -326,7 +327,7 @@ async fn names_are_asked_for_once() {
     // Again: nobody is asked for names; and they can be looked up.
     script.next(vec![six_lines(ids[0], "", true, 1)]);
     assert_eq!(purposes(&server.client.ground(&scene, &cached()).await.unwrap()), ["spatial"]);
-    let instances = server.client.all_instances(&scene).await.unwrap();
+    let instances = server.client.all_instances(&scene, Levels::Things).await.unwrap();
     let of = |id: u32| instances.iter().find(|i| i.id.0 == id).unwrap().model_name.clone();
     assert_eq!(of(ids[0]), Some(format!("red thing number {}", ids[0])));
     assert!(instances.iter().any(|i| i.model_name.is_none()));
@@ -341,7 +342,7 @@ async fn names_are_asked_for_once() {
     let calls = script.calls();
     let objects = instances.iter().filter(|i| i.structure.is_none()).count();
     assert_eq!(calls, (objects - ids.len()).div_ceil(12));
-    let instances = server.client.all_instances(&scene).await.unwrap();
+    let instances = server.client.all_instances(&scene, Levels::Things).await.unwrap();
     assert!(instances.iter().all(|i| i.model_name.is_some() || i.structure.is_some()));
     assert_eq!(instances.iter().find(|i| i.id.0 == ids[0]).unwrap().model_name, Some(format!("red thing number {}", ids[0])));
     let again: Job = finished(&server.client, &server.client.name_instances(&scene).await.unwrap().id).await;

@@ -22,7 +22,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 pub use uniground_types as types;
 use uniground_types::answer::{Answer, Shortlisted};
-use uniground_types::instances::{InstanceList, InstanceView};
+use uniground_types::instances::{InstanceList, InstanceView, Levels};
 use uniground_types::job::Job;
 use uniground_types::problem::{FieldError, Problem};
 use uniground_types::question::{GroundRequest, ShortlistRequest};
@@ -151,23 +151,26 @@ impl Client {
         json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/report"))).await
     }
 
+    /// The first things of a scene.
+    ///
     /// # Errors
     /// [`ClientError`].
     pub async fn instances(&self, scene_id: &str, limit: u32) -> Result<InstanceList, ClientError> {
         json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/instances")).query(&[("limit", limit)])).await
     }
 
-    /// Every instance of a scene, in order of id.
+    /// Every instance of a scene at these levels, in order of id.
     ///
     /// # Errors
     /// [`ClientError`].
-    pub async fn all_instances(&self, scene_id: &str) -> Result<Vec<InstanceView>, ClientError> {
+    pub async fn all_instances(&self, scene_id: &str, levels: Levels) -> Result<Vec<InstanceView>, ClientError> {
         const PAGE: u32 = 200;
         let mut instances = Vec::new();
         let mut cursor = None;
         loop {
             let query = [("limit", Some(PAGE)), ("cursor", cursor)];
-            let page: InstanceList = json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/instances")).query(&query)).await?;
+            let page = self.request(Method::GET, &format!("v1/scenes/{scene_id}/instances")).query(&query);
+            let page: InstanceList = json(page.query(&[("level", levels)])).await?;
             instances.extend(page.instances);
             cursor = page.next_cursor;
             if cursor.is_none() {

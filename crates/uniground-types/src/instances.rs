@@ -1,7 +1,7 @@
 //! Objects found in a scene, as callers see them.
 
 use crate::geometry::boxes::{Aabb, OrientedBox};
-use crate::scene::{InstanceId, NameGuess, Structure, Support, View};
+use crate::scene::{InstanceId, Level, NameGuess, Structure, Support, View};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -9,8 +9,14 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct InstanceView {
-    /// Numbered from 1 within the parse, in falling order of points; another parse numbers anew.
+    /// Numbered from 1 within the parse: things in falling order of points, then parts and wholes; another parse numbers anew.
     pub id: InstanceId,
+    /// A thing, a part of one, or a whole of several.
+    #[serde(default)]
+    pub level: Level,
+    /// The thing a part lies in; the things a whole is made of; empty for things.
+    #[serde(default)]
+    pub things: Vec<InstanceId>,
     /// What the encoder would call it, without having heard a question.
     pub label: String,
     /// Axis-aligned box of the robust bounds.
@@ -51,6 +57,35 @@ pub struct InstanceList {
     pub instances: Vec<InstanceView>,
     /// Pass as `cursor` for the next page; `null` on the last.
     pub next_cursor: Option<u32>,
+}
+
+/// Which instances to list.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Levels {
+    /// The pieces the scene is cut into: each point is in one or none.
+    #[default]
+    Things,
+    /// Pieces of things that masks show by themselves.
+    Parts,
+    /// Several things that masks show as one.
+    Wholes,
+    /// All of them.
+    All,
+}
+
+impl Levels {
+    /// Whether an instance of this level is listed.
+    #[must_use]
+    pub fn lists(self, level: Level) -> bool {
+        match self {
+            Self::Things => level == Level::Thing,
+            Self::Parts => level == Level::Part,
+            Self::Wholes => level == Level::Whole,
+            Self::All => true,
+        }
+    }
 }
 
 /// Which picture of a view.

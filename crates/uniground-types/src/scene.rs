@@ -15,8 +15,8 @@ impl std::fmt::Display for FrameIndex {
     }
 }
 
-/// Number of an instance within its scene, counted from 1 in falling order of points.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+/// Number of an instance within its scene, counted from 1: things in falling order of points, then parts and wholes, best shown first.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(transparent)]
 pub struct InstanceId(pub u32);
@@ -25,6 +25,20 @@ impl std::fmt::Display for InstanceId {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         self.0.fmt(f)
     }
+}
+
+/// What an instance is among the others. Every point belongs to one thing or none; parts and wholes overlap them.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum Level {
+    /// One of the pieces the scene is cut into.
+    #[default]
+    Thing,
+    /// A piece of a thing that masks show by itself: a drawer, a seat.
+    Part,
+    /// Several things that masks show as one: blanket and headboard of a bed.
+    Whole,
 }
 
 /// Part of the building rather than an object in it.
@@ -151,8 +165,11 @@ pub struct ParseReport {
     pub frames_used: u32,
     /// Small even patches the cloud was cut into before merging.
     pub superpoints: u32,
-    /// Instances found, structural ones included.
+    /// Things found, structural ones included.
     pub instances: u32,
+    /// Parts of things, and wholes of several, that masks show beside them.
+    #[serde(default)]
+    pub parts_and_wholes: u32,
     /// Instances flagged as floor, wall or ceiling.
     pub structural: u32,
     /// Regions that became no instance because the masks of the frames that see them show something else; their points belong to nothing.

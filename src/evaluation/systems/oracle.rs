@@ -7,9 +7,10 @@ use uniground_core::geometry::{Point3, Vector3};
 use uniground_core::models::neural::DualEncoder;
 use uniground_core::models::{attributes, calibration};
 use uniground_core::progress::Progress;
-use uniground_core::scene::{Embeddings, FrameRef, Instance, InstanceId, NameGuess, PointCloud, Structure, Support};
+use uniground_core::scene::{Embeddings, FrameRef, Instance, InstanceId, Level, NameGuess, PointCloud, Structure, Support};
 use uniground_core::scene_parsing::appearance::{self, Labelled};
 use uniground_core::scene_parsing::instances::{planarity, supports};
+use uniground_core::scene_parsing::labels::Labels;
 use uniground_core::scene_parsing::{ParseError, ParsingSettings, views};
 
 /// Who names annotated instances.
@@ -56,6 +57,8 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: Names)
         };
         let mut instance = Instance {
             id: InstanceId(i as u32 + 1),
+            level: Level::Thing,
+            things: Vec::new(),
             aabb: object.aabb,
             raw_box: object.aabb,
             oriented_box,
@@ -101,7 +104,8 @@ pub fn see(
     settings: &ParsingSettings,
 ) -> Result<Embeddings, ParseError> {
     let (own, instance_of_point) = points_of(annotations, cloud);
-    let labelled = Labelled { cloud: &own, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
+    let labels = Labels::of_things(&instance_of_point);
+    let labelled = Labelled { cloud: &own, labels: &labels, depth_tolerance: settings.depth_tolerance };
     let rows = appearance::of_known(frames, instances, labelled, encoder, &settings.appearance)?;
     Ok(calibration::name_all(instances, encoder, &rows)?)
 }
@@ -118,9 +122,10 @@ pub(super) fn view(
     settings: &ParsingSettings,
 ) -> Result<(), ParseError> {
     let (own, instance_of_point) = points_of(annotations, cloud);
+    let labels = Labels::of_things(&instance_of_point);
     let mut seen = Vec::new();
     for frame in frames {
-        seen.extend(views::sightings(&own, &instance_of_point, frame, &frame.decode_depth()?, settings.depth_tolerance, &[]));
+        seen.extend(views::sightings(&own, &labels, frame, &frame.decode_depth()?, settings.depth_tolerance, &[]));
     }
     views::choose(instances, seen, frames, &settings.views);
     Ok(())

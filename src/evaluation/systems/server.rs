@@ -21,6 +21,7 @@ use uniground_core::geometry::boxes::Aabb;
 use uniground_core::ingest::archive::ArchiveKind;
 use uniground_core::ingest::read_cloud;
 use uniground_core::render::RenderScene;
+use uniground_types::instances::Levels;
 use uniground_types::job::JobState;
 use uniground_types::question::{GroundRequest, ParserChoice, ShortlistRequest};
 use uniground_types::scenes::Scene;
@@ -95,7 +96,7 @@ impl System for Server {
                 bail!("the parse of {} failed: {why}", scene.id);
             }
             let id = created.scene.id;
-            let boxes = self.client.all_instances(&id).await?.iter().map(|i| i.aabb).collect();
+            let boxes = self.client.all_instances(&id, Levels::All).await?.iter().map(|i| i.aabb).collect();
             let cloud = self.client.bytes(&format!("v1/scenes/{id}/cloud.ply")).await?;
             let folder = tempfile::tempdir()?;
             let file = Utf8Path::from_path(folder.path()).context("the temporary folder is no text")?.join("cloud.ply");

@@ -5,13 +5,15 @@ use crate::error::Error;
 use camino::Utf8PathBuf;
 use uniground_core::scene::{Instance, InstanceId};
 use uniground_core::scene_parsing::evidence::Picture;
-use uniground_types::instances::{InstanceList, InstanceView, ViewPicture};
+use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture};
 
 /// An instance as callers see it.
 fn view_of(instance: Instance, model_name: Option<String>) -> InstanceView {
     let label = instance.label().to_owned();
     let Instance {
         id,
+        level,
+        things,
         aabb,
         raw_box,
         oriented_box,
@@ -29,6 +31,8 @@ fn view_of(instance: Instance, model_name: Option<String>) -> InstanceView {
     let colours = colours.dominant().into_iter().map(|(name, share)| (name.word().to_owned(), share)).collect();
     InstanceView {
         id,
+        level,
+        things,
         label,
         aabb,
         raw_box,
@@ -47,14 +51,19 @@ fn view_of(instance: Instance, model_name: Option<String>) -> InstanceView {
 }
 
 impl Service {
-    /// Instances of the current parse in order of id, those after `cursor` only.
+    /// Instances of the current parse at these levels in order of id, those after `cursor` only.
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
-    pub async fn instances(&self, scene_id: &str, limit: u32, cursor: u32) -> Result<InstanceList, Error> {
+    pub async fn instances(&self, scene_id: &str, levels: Levels, limit: u32, cursor: u32) -> Result<InstanceList, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let (parse, mut names) = (self.loaded_parse(&parse_id).await?, self.names_of(&parse_id).await?);
-        let page = parse.instances.iter().filter(|i| i.id.0 > cursor).take(limit as usize + 1).cloned();
+        let page = parse
+            .instances
+            .iter()
+            .filter(|i| i.id.0 > cursor && levels.lists(i.level))
+            .take(limit as usize + 1)
+            .cloned();
         let named = |instance: Instance| {
             let name = names.remove(&instance.id.0);
             view_of(instance, name)

@@ -12,7 +12,7 @@ use uniground_core::grounding::pipeline::SceneSource;
 use uniground_core::grounding::vlm::naming;
 use uniground_core::models::chat::Session;
 use uniground_core::progress::{Cancelled, Progress};
-use uniground_core::scene::InstanceId;
+use uniground_core::scene::{InstanceId, Level};
 use uniground_core::scene_parsing::ParseError;
 
 /// Names the objects of scenes. It waits for a model most of its time: several at once do not stand in each other's way.
@@ -72,7 +72,7 @@ impl Service {
         let unnamed: Vec<InstanceId> = source
             .instances()
             .iter()
-            .filter(|i| i.structure.is_none() && !known.contains_key(&i.id.0))
+            .filter(|i| i.level == Level::Thing && i.structure.is_none() && !known.contains_key(&i.id.0))
             .map(|i| i.id)
             .collect();
         let mut named = 0;

@@ -3,12 +3,16 @@
 use serde::{Deserialize, Serialize};
 use uniground_core::geometry::boxes::{Aabb, OrientedBox};
 use uniground_core::geometry::colour::ColourHistogram;
-use uniground_core::scene::{Instance, InstanceId, NameGuess, Structure, Support, View};
+use uniground_core::scene::{Instance, InstanceId, Level, NameGuess, Structure, Support, View};
 
 /// One object candidate. Lengths in metres, world frame (Z up). Only the id and the box must be there.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct InstanceRecord {
     id: InstanceId,
+    #[serde(default)]
+    level: Level,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    things: Vec<InstanceId>,
     aabb: Aabb,
     #[serde(default)]
     raw_box: Option<Aabb>,
@@ -41,6 +45,8 @@ impl From<&Instance> for InstanceRecord {
         // Every field by name: a new one does not compile until somebody decides whether it is stored.
         let Instance {
             id,
+            level,
+            things,
             aabb,
             raw_box,
             oriented_box,
@@ -57,6 +63,8 @@ impl From<&Instance> for InstanceRecord {
         } = instance.clone();
         Self {
             id,
+            level,
+            things,
             aabb,
             raw_box: Some(raw_box),
             oriented_box: Some(oriented_box),
@@ -78,6 +86,8 @@ impl From<InstanceRecord> for Instance {
     fn from(record: InstanceRecord) -> Self {
         let InstanceRecord {
             id,
+            level,
+            things,
             aabb,
             raw_box,
             oriented_box,
@@ -94,6 +104,8 @@ impl From<InstanceRecord> for Instance {
         } = record;
         Self {
             id,
+            level,
+            things,
             aabb,
             raw_box: raw_box.unwrap_or(aabb),
             oriented_box: oriented_box.unwrap_or(OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 }),

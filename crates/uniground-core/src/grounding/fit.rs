@@ -1,6 +1,7 @@
 //! How well instances fit what a phrase says of the thing itself: noun x colours x traits. Relations are [`assess`](super::assess)'s.
 
 use super::SceneView;
+use super::place::one_per_place;
 use super::query::{Meaning, Phrase, Trait};
 use super::solid::Solid;
 use crate::geometry::colour::lab_of_srgb;
@@ -24,7 +25,7 @@ pub(super) const PLAUSIBLE: f32 = 0.3;
 /// What is left at the wrong end of a comparison: of the smallest thing when "large" is asked for.
 const OPPOSITE_TRAIT: f32 = 0.3;
 
-/// Fit of every instance to a phrase's noun, `0..=1`, by index.
+/// Fit of every instance to a phrase's noun, `0..=1`, by index; one instance for each place.
 #[must_use]
 pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
     let meaning = phrase.meaning();
@@ -59,7 +60,9 @@ pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
             by_looks.unwrap_or_else(|| by_measure * among_names(by_measure, nouns, instance).sqrt())
         }
     };
-    scene.instances.iter().enumerate().map(fit).collect()
+    let mut fits: Vec<f32> = scene.instances.iter().enumerate().map(fit).collect();
+    one_per_place(scene.instances, &mut fits);
+    fits
 }
 
 /// How likely an instance is one of `nouns` rather than what its other names say: a table may have a sofa's size.

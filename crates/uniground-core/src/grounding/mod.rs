@@ -12,6 +12,7 @@ pub mod direction;
 mod fit;
 mod picture_cache;
 pub mod pipeline;
+mod place;
 pub mod query;
 pub mod reasoner;
 pub mod relations;
@@ -71,7 +72,9 @@ impl Question {
 #[must_use]
 pub fn rank_candidates(scene: SceneView, parsed: &query::ParsedQuery, top_k: usize) -> Vec<Candidate> {
     if let Some(scores) = scene.appearance.and_then(Appearance::shortlist) {
-        return shortlist::rank(scene, scores, top_k);
+        let mut scores = scores.to_vec();
+        place::one_per_place(scene.instances, &mut scores);
+        return shortlist::rank(scene, &scores, top_k);
     }
     let assessor = Assessor::new(scene, DirectionConvention::Paper.into());
     shortlist::rank(scene, &assessor.own_fits(&parsed.target).1, top_k)

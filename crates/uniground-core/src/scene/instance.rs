@@ -1,6 +1,6 @@
 //! Class-agnostic object instances (paper: Global Candidate Filtering).
 
-use super::{InstanceId, NameGuess, Structure, Support, View};
+use super::{InstanceId, Level, NameGuess, Structure, Support, View};
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::colour::ColourHistogram;
 use serde::{Deserialize, Serialize};
@@ -8,8 +8,14 @@ use serde::{Deserialize, Serialize};
 /// One object candidate. Lengths in metres, world frame (Z up).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Instance {
-    /// Counted from 1, in falling order of points.
+    /// Counted from 1: things in falling order of points, then parts and wholes, best shown first.
     pub id: InstanceId,
+    /// A thing, a part of one, or a whole of several.
+    #[serde(default)]
+    pub level: Level,
+    /// The thing a part lies in; the things a whole is made of; empty for things.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub things: Vec<InstanceId>,
     /// Axis-aligned box of the robust bounds: stray points do not stretch it.
     pub aabb: Aabb,
     /// Axis-aligned box of every point.

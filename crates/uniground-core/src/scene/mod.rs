@@ -22,5 +22,5 @@ pub use frame::{DepthImage, Frame, FrameError, FrameRef, stream_frames};
 pub use instance::Instance;
 pub use parsed::ParsedScene;
 pub use uniground_types::scene::{
-    FrameIndex, ImportReport, InstanceId, NameGuess, ParseReport, PoseConvention, StageReport, Structure, Support, View,
+    FrameIndex, ImportReport, InstanceId, Level, NameGuess, ParseReport, PoseConvention, StageReport, Structure, Support, View,
 };

@@ -2,6 +2,7 @@
 
 use super::ParseError;
 use super::correction::{Corrector, KnownMasks, Projection};
+use super::labels::Labels;
 use super::lifting::MasksOfFrames;
 use super::views::{Sighting, all_sightings, visible_pixels};
 use crate::models::neural::DualEncoder;
@@ -38,8 +39,8 @@ pub fn choose(instances: &[Instance], sightings: &[Sighting], settings: &Appeara
 pub struct Labelled<'a> {
     /// All points, metres, world frame (Z up).
     pub cloud: &'a PointCloud,
-    /// One id per point of the cloud.
-    pub instance_of_point: &'a [InstanceId],
+    /// The instances of each.
+    pub labels: &'a Labels<'a>,
     /// Share of the measured depth by which a visible point may miss it.
     pub depth_tolerance: f32,
 }
@@ -109,7 +110,7 @@ pub fn of_known(
     settings: &AppearanceSettings,
 ) -> Result<Vec<f32>, ParseError> {
     let quiet = Progress::silent();
-    let seen = all_sightings(labelled.cloud, labelled.instance_of_point, frames, labelled.depth_tolerance, &MasksOfFrames::new(), &quiet)?;
+    let seen = all_sightings(labelled.cloud, labelled.labels, frames, labelled.depth_tolerance, &MasksOfFrames::new(), &quiet)?;
     let boxes = choose(instances, &seen, settings);
     Ok(look(frames, instances, boxes, labelled, (None, Some(encoder)), settings, &quiet)?.0)
 }
@@ -126,7 +127,7 @@ fn correct(
     let depth = frame.decode_depth()?;
     let known: Vec<KnownMasks> = known.get(&frame.index).into_iter().flatten().map(|masks| KnownMasks::of(masks, frame)).collect();
     let mut encoded = None;
-    let pixels = visible_pixels(labelled.cloud, labelled.instance_of_point, frame, &depth, labelled.depth_tolerance);
+    let pixels = visible_pixels(labelled.cloud, labelled.labels, frame, &depth, labelled.depth_tolerance);
     for of_instance in pixels.chunk_by(|a, b| a.instance == b.instance) {
         progress.check()?;
         let instance = of_instance[0].instance;

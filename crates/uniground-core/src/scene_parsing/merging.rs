@@ -33,14 +33,15 @@ impl Regions {
 pub fn merge(
     superpoints: &Superpoints,
     planes: &Planes,
-    tables: Vec<FrameVisibility>,
+    tables: &[FrameVisibility],
     settings: &MergeSettings,
     progress: &Progress,
 ) -> Result<Regions, Cancelled> {
     let mut region_of: Vec<u32> = (0..superpoints.patches.len() as u32).collect();
     let mut levels = Vec::new();
     let plane_of = planes.of_superpoint.clone();
-    let mut graph = Graph { patches: superpoints.patches.clone(), adjacent: superpoints.adjacent.clone(), plane_of, tables };
+    let mut graph =
+        Graph { patches: superpoints.patches.clone(), adjacent: superpoints.adjacent.clone(), plane_of, tables: tables.to_vec() };
     for (stage, &threshold) in settings.thresholds.iter().enumerate() {
         progress.report("merge", stage as f32 / settings.thresholds.len() as f32)?;
         let mut edges = graph.edges(settings, progress)?;

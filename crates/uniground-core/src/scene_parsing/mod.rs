@@ -13,7 +13,9 @@ pub mod checkpoints;
 pub mod correction;
 pub mod evidence;
 pub mod frame_sampling;
+pub mod hierarchy;
 pub mod instances;
+pub mod labels;
 pub mod lifting;
 pub mod masks;
 pub mod merging;
@@ -33,7 +35,9 @@ use crate::scene::{FrameError, FrameRef, ParseReport, ParsedScene, PointCloud, S
 use appearance::{Correction, Labelled};
 use checkpoints::Checkpoints;
 use correction::Corrector;
+use hierarchy::Proposal;
 use instances::Built;
+use labels::Labels;
 use lifting::{Lifted, Lifting, MasksOfFrames};
 use masks::MaskSource;
 use planes::Planes;
@@ -107,28 +111,28 @@ pub fn parse(
     let mut watch = Stopwatch::default();
     let ends = perception.ends();
 
-    let Grouped { superpoints, planes, masks_of, region_of, blind } =
+    let Grouped { superpoints, planes, masks_of, region_of, proposals, blind } =
         group(&cloud, &frames, perception, settings, checkpoints, progress, &mut watch)?;
-    let numbered = instances::numbered(&region_of);
+    let labels = Labels::of_regions(&region_of, &superpoints, proposals);
     let sightings = watch.time("views", |outcome| {
         let viewing = progress.part(ends[5], ends[6]);
-        let sightings = views::all_sightings(&cloud, &numbered, &frames, settings.depth_tolerance, &masks_of, &viewing)?;
+        let sightings = views::all_sightings(&cloud, &labels, &frames, settings.depth_tolerance, &masks_of, &viewing)?;
         outcome.produced = sightings.len();
         Ok::<_, ParseError>(sightings)
     })?;
     let built = watch.time("instances", |outcome| {
         let building = progress.part(ends[6], ends[7]);
-        let built = instances::build(&cloud, &superpoints, &planes, &numbered, sightings, &settings.instances, &building)?;
+        let built = instances::build(&cloud, &superpoints, &planes, labels, sightings, &settings.instances, &building)?;
         outcome.produced = built.instances.len();
         Ok::<_, ParseError>(built)
     })?;
-    let Built { mut instances, of_point: instance_of_point, sightings, dropped } = built;
+    let Built { mut instances, labels, sightings, dropped } = built;
     let looked_at = appearance::choose(&instances, &sightings, &settings.appearance);
     views::choose(&mut instances, sightings, &frames, &settings.views);
     let rows = match perception.is_neural() {
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
-            let labelled = Labelled { cloud: &cloud, instance_of_point: &instance_of_point, depth_tolerance: settings.depth_tolerance };
+            let labelled = Labelled { cloud: &cloud, labels: &labels, depth_tolerance: settings.depth_tolerance };
             let looking = progress.part(ends[7], 1.0);
             let (rows, boxes) = appearance::look(
                 &frames,
@@ -154,13 +158,15 @@ pub fn parse(
         points: cloud.len() as u64,
         frames_used: frames.len() as u32,
         superpoints: superpoints.patches.len() as u32,
-        instances: instances.len() as u32,
+        instances: labels.things,
+        parts_and_wholes: labels.compounds.len() as u32,
         structural: instances.iter().filter(|i| i.structure.is_some()).count() as u32,
         dropped,
         without_views: instances.iter().filter(|i| i.views.is_empty()).count() as u32,
         stages: watch.stages,
         warnings: warnings(frames.len(), &blind),
     };
+    let instance_of_point = labels.thing_of_point.into_owned();
     let superpoint_of_point = superpoints.of_point;
     Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, embeddings, extent, report })
 }
@@ -172,6 +178,8 @@ struct Grouped {
     masks_of: MasksOfFrames,
     /// One region per point of the cloud.
     region_of: Vec<u32>,
+    /// Parts of regions, and wholes of several.
+    proposals: Vec<Proposal>,
     /// Frames that see no point of the cloud.
     blind: Vec<String>,
 }
@@ -211,7 +219,7 @@ fn group(
     let (tables, masks_of) = Lifted::apart(lifted);
     let blind: Vec<String> = tables.iter().filter(|t| t.layer == 0 && t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
     let regions = watch.time("merging", |outcome| {
-        let compute = || merging::merge(&superpoints, &planes, tables, &settings.merging, &progress.part(ends[2], ends[3]));
+        let compute = || merging::merge(&superpoints, &planes, &tables, &settings.merging, &progress.part(ends[2], ends[3]));
         let (regions, reused) = checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
         *outcome = StageOutcome { produced: count(regions.last()), reused };
         Ok::<_, ParseError>(regions)
@@ -221,6 +229,12 @@ fn group(
             part_merging::join(cloud, &superpoints, regions.last().to_vec(), &settings.part_merging, &progress.part(ends[3], ends[4]))?;
         outcome.produced = count(&joined);
         Ok::<_, ParseError>(joined)
+    })?;
+    let proposals = watch.time("hierarchy", |outcome| {
+        let proposing = progress.part(ends[4], ends[4]);
+        let proposals = hierarchy::propose(&superpoints, &planes, &regions, &region_of, &tables, settings, &proposing)?;
+        outcome.produced = proposals.len();
+        Ok::<_, ParseError>(proposals)
     })?;
     let region_of = superpoints.spread(&region_of);
     let region_of = match settings.refine_borders {
@@ -232,7 +246,7 @@ fn group(
             Ok::<_, ParseError>(refined)
         })?,
     };
-    Ok(Grouped { superpoints, planes, masks_of, region_of, blind })
+    Ok(Grouped { superpoints, planes, masks_of, region_of, proposals, blind })
 }
 
 /// What the one who reads the report should know, given the frames that see no point of the cloud.

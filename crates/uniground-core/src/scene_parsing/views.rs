@@ -2,6 +2,7 @@
 
 use super::ParseError;
 use super::appearance::Boxes;
+use super::labels::Labels;
 use super::lifting::MasksOfFrames;
 use super::masks::IdRuns;
 use crate::geometry::Point3;
@@ -34,12 +35,11 @@ pub struct VisiblePoint {
     pub cell: (u32, u32),
 }
 
-/// The visible points of every instance this frame shows, sorted by instance, then column and row in its colour picture. Points of none
-/// (id 0) are left out.
+/// The visible points of every instance this frame shows, sorted by instance, then column and row in its colour picture.
 #[must_use]
 pub fn visible_pixels(
     cloud: &PointCloud,
-    instance_of_point: &[InstanceId],
+    labels: &Labels,
     frame: &FrameRef,
     depth: &DepthImage,
     depth_tolerance: f32,
@@ -49,15 +49,20 @@ pub fn visible_pixels(
         .positions
         .par_iter()
         .with_min_len(1 << 14)
-        .zip(instance_of_point)
-        .filter(|(_, instance)| instance.0 != 0)
-        .filter_map(|(p, &instance)| {
+        .enumerate()
+        .filter(|(i, _)| labels.thing_of_point[*i].0 != 0)
+        .filter_map(|(i, p)| {
             let seen = depth_camera.project(p)?;
             let depth_m = depth.at(seen.cell());
             let visible = depth_m > 0.0 && (seen.z_m - depth_m).abs() <= depth_tolerance * depth_m;
             let pixel = visible.then(|| colour_camera.project(p)).flatten()?;
-            Some(VisiblePoint { instance, at: (pixel.u, pixel.v), cell: seen.cell() })
+            Some(
+                labels
+                    .of(i)
+                    .map(move |instance| VisiblePoint { instance, at: (pixel.u, pixel.v), cell: seen.cell() }),
+            )
         })
+        .flatten_iter()
         .collect();
     hits.sort_unstable_by(|a, b| a.instance.cmp(&b.instance).then(a.at.0.total_cmp(&b.at.0)).then(a.at.1.total_cmp(&b.at.1)));
     hits
@@ -69,15 +74,15 @@ pub fn visible_pixels(
 #[must_use]
 pub fn sightings(
     cloud: &PointCloud,
-    instance_of_point: &[InstanceId],
+    labels: &Labels,
     frame: &FrameRef,
     depth: &DepthImage,
     depth_tolerance: f32,
     masks: &[IdRuns],
 ) -> Vec<Sighting> {
-    let hits = visible_pixels(cloud, instance_of_point, frame, depth, depth_tolerance);
+    let hits = visible_pixels(cloud, labels, frame, depth, depth_tolerance);
     let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
-    let agreements = agreements(&hits, masks);
+    let agreements = agreements(&hits, labels.things, masks);
     hits.chunk_by(|a, b| a.instance == b.instance)
         .map(|hits| {
             let bound = |of: &dyn Fn(&VisiblePoint) -> f32, q| quantile(&mut hits.iter().map(of).collect::<Vec<_>>(), q).unwrap_or(0.0);
@@ -96,8 +101,8 @@ pub fn sightings(
         .collect()
 }
 
-/// For each instance the best IoU of its visible points with those of a mask.
-fn agreements(hits: &[VisiblePoint], masks: &[IdRuns]) -> BTreeMap<InstanceId, f32> {
+/// For each instance the best IoU of its visible points with those of a mask. Things have ids up to `things`; the others overlap them.
+fn agreements(hits: &[VisiblePoint], things: u32, masks: &[IdRuns]) -> BTreeMap<InstanceId, f32> {
     let mut best: BTreeMap<InstanceId, f32> = BTreeMap::new();
     for ids in masks.iter().map(IdRuns::unpacked) {
         let mut shared: BTreeMap<(InstanceId, u16), u32> = BTreeMap::new();
@@ -105,7 +110,9 @@ fn agreements(hits: &[VisiblePoint], masks: &[IdRuns]) -> BTreeMap<InstanceId, f
         let (mut of_instance, mut of_mask) = (BTreeMap::new(), BTreeMap::new());
         for (&(instance, mask), &n) in &shared {
             *of_instance.entry(instance).or_insert(0) += n;
-            *of_mask.entry(mask).or_insert(0) += n;
+            if instance.0 <= things {
+                *of_mask.entry(mask).or_insert(0) += n;
+            }
         }
         for ((instance, mask), both) in shared.into_iter().filter(|((_, mask), _)| *mask != 0) {
             let iou = both as f32 / (of_instance[&instance] + of_mask[&mask] - both) as f32;
@@ -124,7 +131,7 @@ const TRIM: f32 = 0.01;
 /// [`ParseError`]: an unreadable frame, or cancellation.
 pub fn all_sightings(
     cloud: &PointCloud,
-    instance_of_point: &[InstanceId],
+    labels: &Labels,
     frames: &[FrameRef],
     depth_tolerance: f32,
     masks: &MasksOfFrames,
@@ -136,7 +143,7 @@ pub fn all_sightings(
         |frame| {
             progress.check()?;
             let masks = masks.get(&frame.index).map_or(&[][..], Vec::as_slice);
-            Ok::<_, ParseError>(sightings(cloud, instance_of_point, frame, &frame.decode_depth()?, depth_tolerance, masks))
+            Ok::<_, ParseError>(sightings(cloud, labels, frame, &frame.decode_depth()?, depth_tolerance, masks))
         },
         |i, seen| {
             all.extend(seen);
@@ -219,11 +226,11 @@ mod tests {
             .collect();
         let image = |ids: [u16; 6]| IdRuns::of(&IdImage { width: 6, height: 1, ids: ids.to_vec() });
         let parts = image([5, 5, 5, 7, 7, 7]);
-        let found = agreements(&hits, std::slice::from_ref(&parts));
+        let found = agreements(&hits, 2, std::slice::from_ref(&parts));
         assert_eq!(found, BTreeMap::from([(InstanceId(1), 0.75), (InstanceId(2), 2.0 / 3.0)]));
-        let whole = agreements(&hits, &[parts, image([3, 3, 3, 3, 0, 0])]);
+        let whole = agreements(&hits, 2, &[parts, image([3, 3, 3, 3, 0, 0])]);
         assert_eq!(whole, BTreeMap::from([(InstanceId(1), 1.0), (InstanceId(2), 2.0 / 3.0)]));
-        assert!(agreements(&hits, &[]).is_empty());
+        assert!(agreements(&hits, 2, &[]).is_empty());
     }
 
     #[test]

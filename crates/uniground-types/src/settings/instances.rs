@@ -38,6 +38,8 @@ pub struct InstanceSettings {
     pub stray_voxel_m: f32,
     /// Regions with which no mask agrees better (IoU over their visible points, mean over frames) are no instances. Not in the paper.
     pub min_agreement: f32,
+    /// At most this many parts and wholes for each thing are offered beside the things; 0: none. Not in the paper.
+    pub parts_and_wholes: f32,
 }
 
 impl Default for InstanceSettings {
@@ -50,6 +52,7 @@ impl Default for InstanceSettings {
             stray_neighbours: 4,
             stray_voxel_m: 0.03,
             min_agreement: 0.2,
+            parts_and_wholes: 1.5,
         }
     }
 }

@@ -72,6 +72,7 @@ impl ParsingSettings {
                 thin_sigmas: 0.0,
                 stray_neighbours: 0,
                 min_agreement: 0.0,
+                parts_and_wholes: 0.0,
                 ..InstanceSettings::default()
             },
             sam_masks: SamSettings::paper(),
@@ -103,7 +104,7 @@ impl ParsingSettings {
         let positive = |v: f32| v.is_finite() && v > 0.0;
         let share = |v: f32| (0.0..=1.0).contains(&v);
         let weight = |v: f32| v.is_finite() && v >= 0.0;
-        let rules: [(&str, bool, &str); 52] = [
+        let rules: [(&str, bool, &str); 53] = [
             ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
             ("/frame_sampling/max_frames", frame_sampling.max_frames != Some(0), "at least 1, or null"),
             ("/superpoints/voxel_m", (0.001..=10.0).contains(&superpoints.voxel_m), "0.001 to 10 metres"),
@@ -159,6 +160,7 @@ impl ParsingSettings {
             ("/instances/trim", (0.0..0.5).contains(&instances.trim), "0 to 0.5"),
             ("/instances/stray_voxel_m", (0.001..=10.0).contains(&instances.stray_voxel_m), "0.001 to 10 metres"),
             ("/instances/min_agreement", share(instances.min_agreement), "0 to 1"),
+            ("/instances/parts_and_wholes", (0.0..=10.0).contains(&instances.parts_and_wholes), "0 to 10"),
             ("/views/min_share_of_best", share(views.min_share_of_best), "0 to 1"),
             ("/views/count", (1..=16).contains(&views.count), "1 to 16"),
             ("/correction/rounds", correction.rounds <= 100, "at most 100"),

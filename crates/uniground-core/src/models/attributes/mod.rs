@@ -148,13 +148,15 @@ pub(crate) mod tests {
     use crate::geometry::boxes::{Aabb, OrientedBox};
     use crate::geometry::colour::ColourHistogram;
     use crate::geometry::{Point3, Vector3};
-    use crate::scene::InstanceId;
+    use crate::scene::{InstanceId, Level};
 
     /// An instance with this size (long, short, height) standing at `base`.
     pub fn thing(id: u32, center_xy: [f32; 2], size: [f32; 3], base: f32, support: Support, rgb: [u8; 3]) -> Instance {
         let aabb = Aabb { center: Point3::new(center_xy[0], center_xy[1], base + size[2] / 2.0), size: Vector3::from(size) };
         Instance {
             id: InstanceId(id),
+            level: Level::Thing,
+            things: Vec::new(),
             aabb,
             raw_box: aabb,
             oriented_box: OrientedBox { center: aabb.center, size: aabb.size, yaw_rad: 0.0 },

@@ -11,7 +11,8 @@ use crate::geometry::moments::Moments;
 use crate::geometry::statistics::{median, quantile};
 use crate::geometry::{Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
-use crate::scene::{Instance, InstanceId, PointCloud, Structure, Support};
+use crate::scene::{Instance, InstanceId, Level, PointCloud, Structure, Support};
+use crate::scene_parsing::labels::{Compound, Labels};
 use crate::scene_parsing::planes::Planes;
 use crate::scene_parsing::superpoints::Superpoints;
 use crate::scene_parsing::views::Sighting;
@@ -20,78 +21,60 @@ use std::collections::BTreeMap;
 pub use support::supports;
 use uniground_types::settings::InstanceSettings;
 
-/// Regions as numbered instances-to-be: ids count from 1 in falling order of points; ties by the region's first point.
-#[must_use]
-pub fn numbered(region_of: &[u32]) -> Vec<InstanceId> {
-    let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
-    // Points of each region, and the first.
-    let mut sizes = vec![(0_u32, 0_u32); count];
-    for (i, &region) in region_of.iter().enumerate().rev() {
-        let (points, first) = &mut sizes[region as usize];
-        (*points, *first) = (*points + 1, i as u32);
-    }
-    let mut order: Vec<usize> = (0..count).filter(|&region| sizes[region].0 > 0).collect();
-    order.sort_by_key(|&region| (std::cmp::Reverse(sizes[region].0), sizes[region].1));
-    let mut ids = vec![InstanceId(0); count];
-    (1..).zip(order).for_each(|(id, region)| ids[region] = InstanceId(id));
-    region_of.iter().map(|&region| ids[region as usize]).collect()
-}
-
 /// What stage 1 takes for things and for parts of the building.
-pub struct Built {
+pub struct Built<'a> {
     /// In order of id.
     pub instances: Vec<Instance>,
-    /// Of each point; 0: of none.
-    pub of_point: Vec<InstanceId>,
+    /// Which of them each point belongs to.
+    pub labels: Labels<'a>,
     /// Of the instances, under their ids.
     pub sightings: Vec<Sighting>,
     /// Regions that became none.
     pub dropped: u32,
 }
 
-/// Builds instances from [`numbered`] regions and their sightings. Regions that are none are dropped and the others close up.
+/// Builds instances from numbered regions, parts and wholes, and their sightings. What is none is dropped and the others close up.
 ///
 /// A thing is shown by masks of its own. What stands out of a wall where poses drift, the rims between things and other leftovers are in no
 /// mask, or under one of something else: on the mean over the frames that see it, weighted by its points they see, no mask agrees with it.
-/// Parts of the building are known by their planes, and what no frame sees is not judged.
+/// Parts of the building are known by their planes, and what no frame sees is not judged. Parts and wholes are judged alike, fall with their
+/// things, and are only as many as the settings say.
 ///
 /// # Errors
 /// [`Cancelled`].
-pub fn build(
+pub fn build<'a>(
     cloud: &PointCloud,
     superpoints: &Superpoints,
     planes: &Planes,
-    numbered: &[InstanceId],
+    labels: Labels<'a>,
     sightings: Vec<Sighting>,
     settings: &InstanceSettings,
     progress: &Progress,
-) -> Result<Built, Cancelled> {
+) -> Result<Built<'a>, Cancelled> {
     progress.report("instances", 0.0)?;
-    let count = numbered.iter().max().map_or(0, |id| id.0 as usize);
-    let mut members: Vec<Vec<u32>> = vec![Vec::new(); count];
-    for (i, id) in numbered.iter().enumerate() {
-        members[id.0 as usize - 1].push(i as u32);
+    let mut members: Vec<Vec<u32>> = vec![Vec::new(); labels.len()];
+    for point in 0..cloud.len() {
+        labels.of(point).for_each(|id| members[id.0 as usize - 1].push(point as u32));
     }
     let noise = Noise::of(superpoints);
-    let shapes: Vec<Shape> = members
+    let mut shapes: Vec<Shape> = members
         .par_iter()
         .map(|points| progress.check().map(|()| Shape::of(cloud, points, noise.around(points), settings)))
         .collect::<Result<_, Cancelled>>()?;
     let lowest_z = || quantile(&mut cloud.positions.iter().map(|p| p.z).collect::<Vec<_>>(), 0.01);
     let floor_z = planes.floor_z().or_else(lowest_z).unwrap_or(0.0);
-    let structures = structures(&shapes, &members, superpoints, planes, floor_z);
-    let shown = agreement(count, &sightings);
-    let stays = |i: usize| structures[i].is_some() || shown[i].is_none_or(|agreement| agreement >= settings.min_agreement);
-    let mut new_id = vec![InstanceId(0); count + 1];
-    (1..).zip((0..count).filter(|&i| stays(i))).for_each(|(id, i)| new_id[i + 1] = InstanceId(id));
-    let (mut shapes, structures): (Vec<Shape>, Vec<_>) = shapes
-        .into_iter()
-        .zip(structures)
-        .enumerate()
-        .filter(|(i, _)| new_id[i + 1].0 != 0)
-        .map(|(_, kept)| kept)
-        .unzip();
-    let boxes: Vec<Aabb> = shapes.iter().map(|shape| shape.aabb).collect();
+    let things = labels.things as usize;
+    let mut structures = structures(&shapes[..things], &members, superpoints, planes, floor_z);
+    let new_id = kept(&labels, &structures, &agreement(labels.len(), &sightings), settings);
+    let stays = |i: usize| new_id[i + 1].0 != 0;
+    let mut at = 0..;
+    shapes.retain(|_| at.next().is_some_and(stays));
+    let mut at = 0..;
+    structures.retain(|_| at.next().is_some_and(stays));
+    let labels = labels.renumbered(&new_id);
+    let dropped = (things - labels.things as usize) as u32;
+
+    let boxes: Vec<Aabb> = shapes[..structures.len()].iter().map(|shape| shape.aabb).collect();
     let mut supports = supports(&boxes, &structures, floor_z, progress)?;
     for (i, support) in supports.iter_mut().enumerate().filter(|(_, support)| **support == Support::Nothing) {
         if let Some((surface_z, on)) = support::on_legs(i, &boxes, &structures, floor_z) {
@@ -99,13 +82,20 @@ pub fn build(
             shapes[i].reach_down_to(surface_z);
         }
     }
-    let instances = shapes
-        .into_iter()
+    for (compound, i) in labels.compounds.iter().zip(structures.len()..) {
+        supports.push(support_of(compound, i, &mut shapes, &supports));
+    }
+    let levels = std::iter::repeat_n((Level::Thing, Vec::new()), structures.len());
+    let levels = levels.chain(labels.compounds.iter().map(|compound| (compound.level, compound.things.clone())));
+    let structures = structures.iter().copied().chain(std::iter::repeat(None));
+    let instances = (1..)
+        .zip(levels)
+        .zip(shapes.into_iter().zip(supports))
         .zip(structures)
-        .zip(supports)
-        .enumerate()
-        .map(|(i, ((shape, structure), support))| Instance {
-            id: InstanceId(i as u32 + 1),
+        .map(|(((id, (level, things)), (shape, support)), structure)| Instance {
+            id: InstanceId(id),
+            level,
+            things,
             aabb: shape.aabb,
             raw_box: shape.raw_box,
             oriented_box: shape.oriented_box,
@@ -120,12 +110,54 @@ pub fn build(
             names: Vec::new(),
             given_name: None,
         })
-        .collect::<Vec<_>>();
-    let of_point = numbered.iter().map(|id| new_id[id.0 as usize]).collect();
+        .collect();
     let renumbered = |sighting: Sighting| Sighting { instance: new_id[sighting.instance.0 as usize], ..sighting };
     let sightings = sightings.into_iter().map(renumbered).filter(|sighting| sighting.instance.0 != 0).collect();
-    let dropped = (count - instances.len()) as u32;
-    Ok(Built { instances, of_point, sightings, dropped })
+    Ok(Built { instances, labels, sightings, dropped })
+}
+
+/// The new id of every instance-to-be, by its old one; 0: dropped.
+fn kept(labels: &Labels, structures: &[Option<Structure>], shown: &[Option<f32>], settings: &InstanceSettings) -> Vec<InstanceId> {
+    let mut new_id = vec![InstanceId(0); labels.len() + 1];
+    let mut ids = (1..).map(InstanceId);
+    for (i, structure) in structures.iter().enumerate() {
+        if structure.is_some() || shown[i].is_none_or(|agreement| agreement >= settings.min_agreement) {
+            new_id[i + 1] = ids.next().unwrap_or_default();
+        }
+    }
+    let things = new_id.iter().filter(|id| id.0 != 0).count() as f32;
+    let is_kept = |(compound, i): &(&Compound, usize)| {
+        let whole = compound.things.iter().all(|thing| new_id[thing.0 as usize].0 != 0);
+        whole && shown[*i].is_some_and(|agreement| agreement >= settings.min_agreement)
+    };
+    let compounds = labels.compounds.iter().zip(structures.len()..).filter(is_kept);
+    let most = (settings.parts_and_wholes * things) as usize;
+    let compounds: Vec<usize> = compounds.map(|(_, i)| i).take(most).collect();
+    compounds.into_iter().zip(ids).for_each(|(i, id)| new_id[i + 1] = id);
+    new_id
+}
+
+/// What the compound at index `i` rests on: a whole on what its lowest thing does, a part on what its thing does where it reaches as low, else
+/// on the thing. A whole stands on the legs of its things.
+fn support_of(compound: &Compound, i: usize, shapes: &mut [Shape], supports: &[Support]) -> Support {
+    let bottom_z = |i: usize, shapes: &[Shape]| shapes[i].aabb.min().z;
+    let index = |thing: &InstanceId| thing.0 as usize - 1;
+    let lowest = compound
+        .things
+        .iter()
+        .map(index)
+        .min_by(|&a, &b| bottom_z(a, shapes).total_cmp(&bottom_z(b, shapes)));
+    let Some(lowest) = lowest else { return Support::Nothing };
+    let own_z = bottom_z(i, shapes);
+    match compound.level {
+        Level::Part if own_z > bottom_z(lowest, shapes) + support::CONTACT_M => Support::Instance { id: InstanceId(lowest as u32 + 1) },
+        Level::Whole if own_z > bottom_z(lowest, shapes) => {
+            let bottom_z = bottom_z(lowest, shapes);
+            shapes[i].reach_down_to(bottom_z);
+            supports[lowest]
+        }
+        _ => supports[lowest],
+    }
 }
 
 /// Which part of the building each region is, if any.
@@ -242,12 +274,6 @@ mod tests {
     use crate::scene::{FrameIndex, View};
 
     #[test]
-    fn regions_are_numbered_by_points_and_ties_by_their_first() {
-        let ids: Vec<u32> = numbered(&[7, 2, 2, 0, 2, 0, 5]).into_iter().map(|id| id.0).collect();
-        assert_eq!(ids, [3, 1, 1, 2, 1, 2, 4]);
-    }
-
-    #[test]
     fn agreement_is_weighed_by_what_a_frame_shows_and_unseen_regions_have_none() {
         let seen = |instance, frame, visible_points, agreement| Sighting {
             instance: InstanceId(instance),
@@ -280,9 +306,10 @@ mod tests {
         };
         let sightings = vec![seen(1, 0.9), seen(2, 0.1), seen(3, 0.5)];
         let settings = InstanceSettings::default();
-        let built = build(&cloud, &superpoints, &planes, &numbered(&region_of), sightings, &settings, &Progress::silent()).unwrap();
+        let labels = Labels::of_regions(&region_of, &superpoints, Vec::new());
+        let built = build(&cloud, &superpoints, &planes, labels, sightings, &settings, &Progress::silent()).unwrap();
         assert_eq!((built.dropped, built.instances.iter().map(|i| i.point_count).collect::<Vec<_>>()), (1, vec![1000, 216]));
-        assert_eq!((built.of_point[0].0, built.of_point[1200].0, built.of_point[1600].0), (1, 0, 2));
+        assert_eq!([0, 1200, 1600].map(|i| built.labels.thing_of_point[i].0), [1, 0, 2]);
         assert_eq!(built.sightings.iter().map(|s| s.instance.0).collect::<Vec<_>>(), [1, 2]);
     }
 }

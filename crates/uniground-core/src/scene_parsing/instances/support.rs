@@ -6,7 +6,7 @@ use crate::scene::{InstanceId, Structure, Support};
 use rayon::prelude::*;
 
 /// Gap under which two surfaces count as touching, metres: a few voxels.
-const CONTACT_M: f32 = 0.06;
+pub(super) const CONTACT_M: f32 = 0.06;
 /// Share of the footprint that must lie over a supporter.
 const MIN_OVERLAP: f32 = 0.3;
 /// Chairs and tables have legs; mugs and fragments of shelves do not. Metres.

@@ -1,0 +1,193 @@
+//! Parts and wholes: what masks show besides the things that a scene is cut into. Not in the paper.
+//!
+//! No single cut suits every question: a bed may have been found as blanket and headboard, a dresser without its drawers. What merging had
+//! on its way are parts; things that one mask holds, and neighbours two by two, are wholes. Those that masks show best are offered beside
+//! the things, by the same measure that tells things from leftovers.
+
+use super::lifting::{FrameVisibility, coarsen};
+use super::merging::Regions;
+use super::planes::Planes;
+use super::superpoints::Superpoints;
+use crate::progress::{Cancelled, Progress};
+use crate::scene::Level;
+use rayon::prelude::*;
+use std::collections::{BTreeMap, BTreeSet};
+use uniground_types::settings::ParsingSettings;
+
+/// A part or a whole that masks show.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Proposal {
+    /// [`Level::Part`] or [`Level::Whole`].
+    pub level: Level,
+    /// Superpoints it is made of, ascending.
+    pub superpoints: Vec<u32>,
+    /// The region a part lies in; those a whole is made of, ascending.
+    pub regions: Vec<u32>,
+    /// How well masks show it: IoU of its visible points and those of the best mask, mean over frames by visible points, `0..=1`.
+    pub agreement: f32,
+}
+
+/// Two that share this much of their points (IoU) are one.
+const SAME: f32 = 0.85;
+/// A mask holds a region when this share of the region's visible points lies in it; it is filled by regions when this share of its own
+/// points lies in those it holds.
+const HELD: f32 = 0.7;
+/// A mask that holds more regions than this shows a corner of the room.
+const MOST_REGIONS: usize = 12;
+
+/// Parts and wholes, best shown first: at most as many for each region as the settings allow. `levels` are the steps of merging that led to
+/// `region_of` (both by superpoint), `tables` what the frames see of the superpoints.
+///
+/// # Errors
+/// [`Cancelled`].
+pub fn propose(
+    superpoints: &Superpoints,
+    planes: &Planes,
+    levels: &Regions,
+    region_of: &[u32],
+    tables: &[FrameVisibility],
+    settings: &ParsingSettings,
+    progress: &Progress,
+) -> Result<Vec<Proposal>, Cancelled> {
+    progress.report("hierarchy", 0.0)?;
+    let members = members(region_of);
+    let most = (settings.instances.parts_and_wholes * members.len() as f32) as usize;
+    if most == 0 {
+        return Ok(Vec::new());
+    }
+    let mut proposals = parts(levels, region_of, tables);
+    progress.check()?;
+    proposals.extend(wholes(superpoints, region_of, &members, tables));
+    let size = |set: &[u32]| set.iter().map(|&s| superpoints.patches[s as usize].points as f32).sum::<f32>();
+    let planar = |set: &[u32]| set.iter().any(|&s| planes.of_superpoint[s as usize].is_some());
+    proposals.retain(|p| {
+        p.agreement >= settings.instances.min_agreement
+            && size(&p.superpoints) >= settings.merging.min_points as f32
+            && !planar(&p.superpoints)
+    });
+    proposals.sort_by(|a, b| b.agreement.total_cmp(&a.agreement).then_with(|| a.superpoints.cmp(&b.superpoints)));
+    let same = |a: &[u32], b: &[u32]| {
+        let both = size(&shared(a, b));
+        both >= SAME * (size(a) + size(b) - both)
+    };
+    let mut kept: Vec<Proposal> = Vec::new();
+    for proposal in proposals {
+        progress.check()?;
+        let own = &proposal.superpoints;
+        let is_thing = proposal.regions.iter().any(|&r| same(&members[r as usize], own));
+        if !is_thing && kept.iter().all(|other| !same(&other.superpoints, own)) {
+            kept.push(proposal);
+        }
+        if kept.len() >= most {
+            break;
+        }
+    }
+    Ok(kept)
+}
+
+/// Superpoints of each region, ascending.
+fn members(region_of: &[u32]) -> Vec<Vec<u32>> {
+    let mut members = vec![Vec::new(); region_of.iter().max().map_or(0, |&r| r as usize + 1)];
+    (0..).zip(region_of).for_each(|(superpoint, &region)| members[region as usize].push(superpoint));
+    members
+}
+
+/// What two ascending lists share.
+fn shared(a: &[u32], b: &[u32]) -> Vec<u32> {
+    a.iter().copied().filter(|s| b.binary_search(s).is_ok()).collect()
+}
+
+/// Regions on the way to those of `region_of`.
+fn parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec<Proposal> {
+    let mut found: BTreeMap<Vec<u32>, f32> = BTreeMap::new();
+    for level in &levels.levels {
+        let coarse: Vec<FrameVisibility> = tables.par_iter().map(|table| coarsen(table, level)).collect();
+        let members = members(level);
+        let alone = (0..members.len() as u32).map(|region| vec![region]).collect::<Vec<_>>();
+        let agreements = agreements(&coarse, &alone);
+        found.extend(members.into_iter().zip(agreements));
+    }
+    let of = |(superpoints, agreement): (Vec<u32>, f32)| {
+        let regions = vec![region_of[*superpoints.first()? as usize]];
+        Some(Proposal { level: Level::Part, superpoints, regions, agreement })
+    };
+    found.into_iter().filter_map(of).collect()
+}
+
+/// Regions that one mask holds and that fill it, and neighbours two by two.
+fn wholes(superpoints: &Superpoints, region_of: &[u32], members: &[Vec<u32>], tables: &[FrameVisibility]) -> Vec<Proposal> {
+    let coarse: Vec<FrameVisibility> = tables.par_iter().map(|table| coarsen(table, region_of)).collect();
+    let mut unions: BTreeSet<Vec<u32>> = coarse.par_iter().map(held_together).flatten_iter().collect();
+    let neighbours = superpoints.adjacent.iter().map(|&(a, b)| (region_of[a as usize], region_of[b as usize]));
+    unions.extend(neighbours.filter(|(a, b)| a != b).map(|(a, b)| vec![a.min(b), a.max(b)]));
+    let unions: Vec<Vec<u32>> = unions.into_iter().collect();
+    let agreements = agreements(&coarse, &unions);
+    let whole = |(regions, agreement): (Vec<u32>, f32)| {
+        let mut superpoints: Vec<u32> = regions.iter().flat_map(|&r| members[r as usize].iter().copied()).collect();
+        superpoints.sort_unstable();
+        Proposal { level: Level::Whole, superpoints, regions, agreement }
+    };
+    unions.into_iter().zip(agreements).map(whole).collect()
+}
+
+/// For each mask the regions it holds, where they fill it.
+fn held_together(table: &FrameVisibility) -> Vec<Vec<u32>> {
+    // Points of each mask, those of regions it holds, and these regions.
+    let mut of_mask: BTreeMap<u16, (u32, u32, Vec<u32>)> = BTreeMap::new();
+    for row in &table.rows {
+        for &(mask, n) in &row.masks {
+            let (all, filled, regions) = of_mask.entry(mask).or_default();
+            *all += n;
+            if n as f32 >= HELD * row.visible as f32 {
+                *filled += n;
+                regions.push(row.superpoint);
+            }
+        }
+    }
+    let filled = of_mask.into_values().filter(|(all, filled, _)| *filled as f32 >= HELD * *all as f32);
+    filled
+        .map(|(_, _, regions)| regions)
+        .filter(|regions| (2..=MOST_REGIONS).contains(&regions.len()))
+        .collect()
+}
+
+/// How well masks show each union of rows of the tables.
+fn agreements(tables: &[FrameVisibility], unions: &[Vec<u32>]) -> Vec<f32> {
+    // Per frame: which masks hold how many points, by id image.
+    let frames: Vec<(&[FrameVisibility], Vec<BTreeMap<u16, u32>>)> = tables
+        .chunk_by(|a, b| a.frame == b.frame)
+        .map(|images| {
+            let points = |table: &FrameVisibility| {
+                let mut points = BTreeMap::new();
+                table
+                    .rows
+                    .iter()
+                    .flat_map(|row| &row.masks)
+                    .for_each(|&(mask, n)| *points.entry(mask).or_insert(0) += n);
+                points
+            };
+            (images, images.iter().map(points).collect())
+        })
+        .collect();
+    let in_frame = |(images, points): &(&[FrameVisibility], Vec<BTreeMap<u16, u32>>), union: &[u32]| {
+        let (mut best, mut visible) = (0.0_f32, 0);
+        for (table, points) in images.iter().zip(points) {
+            let mut shared: BTreeMap<u16, u32> = BTreeMap::new();
+            visible = 0;
+            for part in union {
+                let Ok(row) = table.rows.binary_search_by_key(part, |row| row.superpoint) else { continue };
+                visible += table.rows[row].visible;
+                table.rows[row].masks.iter().for_each(|&(mask, n)| *shared.entry(mask).or_insert(0) += n);
+            }
+            let iou = |(mask, both): (u16, u32)| both as f32 / (visible + points[&mask] - both) as f32;
+            best = shared.into_iter().map(iou).fold(best, f32::max);
+        }
+        (best, visible as f32)
+    };
+    let agreement = |union: &Vec<u32>| {
+        let seen = frames.iter().map(|frame| in_frame(frame, union));
+        let (sum, weight) = seen.fold((0.0, 0.0), |(sum, weight), (iou, n)| (sum + iou * n, weight + n));
+        if weight > 0.0 { sum / weight } else { 0.0 }
+    };
+    unions.par_iter().map(agreement).collect()
+}
