@@ -56,8 +56,21 @@ fn main() {
         return;
     }
     let mut superpoint_table = table(&["room", "points", "superpoints", "purity", "achievable mIoU"]);
-    let mut instance_table =
-        table(&["room", "masks", "turned", "instances", "box .25", "box .5", "points .25", "points .5", "AP50", "seconds"]);
+    let mut instance_table = table(&[
+        "room",
+        "masks",
+        "turned",
+        "instances",
+        "box .25",
+        "box .5",
+        "points .25",
+        "points .5",
+        "AP50",
+        "mean box",
+        "reached .25",
+        ".5",
+        "seconds",
+    ]);
     let mut ladder_table = table(&["room", "masks", "step", "pieces", "box .25", "box .5", "points .25", "points .5"]);
     let mut structure_table = table(&["room", "masks", "recall", "precision"]);
     let mut naming_table = table(&["room", "boxes: first name", "in five", "instances: first name", "in five"]);
@@ -155,9 +168,11 @@ fn score(room: &AnnotatedRoom, parsed: &ParsedScene, masks: &str, misses: bool) 
     (score, parsed.report.stages.iter().map(|s| s.seconds).sum())
 }
 
-fn figures(score: &InstanceScore) -> [f32; 5] {
+fn figures(score: &InstanceScore) -> [f32; 8] {
     let ([box_25, box_50], [point_25, point_50]) = (score.box_recall(), score.point_recall());
-    [box_25, box_50, point_25, point_50, score.ap50]
+    let [reached_25, reached_50] = score.reachable_recall();
+    let mean = score.box_iou.iter().sum::<f32>() / score.objects.max(1) as f32;
+    [box_25, box_50, point_25, point_50, score.ap50, mean, reached_25, reached_50]
 }
 
 fn row(room: &str, masks: &str, turned: &str, score: &InstanceScore, seconds: f32) -> Vec<String> {
@@ -178,5 +193,5 @@ fn mean_and_range(room: &str, masks: &str, runs: &[(InstanceScore, f32)]) -> Vec
     let instances = runs.iter().map(|(score, _)| score.instances).sum::<usize>() / runs.len();
     let seconds = runs.iter().map(|(_, s)| s).sum::<f32>() / n;
     let head = [room.to_owned(), masks.to_owned(), format!("{} turns", runs.len()), instances.to_string()];
-    head.into_iter().chain((0..5).map(figure)).chain([format!("{seconds:.2}")]).collect()
+    head.into_iter().chain((0..8).map(figure)).chain([format!("{seconds:.2}")]).collect()
 }

@@ -19,7 +19,7 @@ pub(super) fn render(scan: &Utf8Path, import: &ImportReport, scene: &ParsedScene
     );
     let _ = write!(
         page,
-        "<p>{} points, {} of {} frames used, {} superpoints, {} instances ({} structural, {} without a view). \
+        "<p>{} points, {} of {} frames used, {} superpoints, {} instances ({} structural), {} parts and wholes, {} of all without a view. \
          Read as {}, up was {}, poses {:?}.</p>",
         report.points,
         report.frames_used,
@@ -27,6 +27,7 @@ pub(super) fn render(scan: &Utf8Path, import: &ImportReport, scene: &ParsedScene
         report.superpoints,
         report.instances,
         report.structural,
+        report.parts_and_wholes,
         report.without_views,
         escaped(&import.format),
         import.up.name(),
@@ -54,13 +55,14 @@ pub(super) fn render(scan: &Utf8Path, import: &ImportReport, scene: &ParsedScene
             escaped(&picture.title)
         );
     }
-    page.push_str("<h2>Instances</h2><table><tr><th>id<th>name<th>centre, m<th>size, m<th>points<th>rests on</tr>");
+    page.push_str("<h2>Instances</h2><table><tr><th>id<th>level<th>name<th>centre, m<th>size, m<th>points<th>rests on</tr>");
     for instance in &scene.instances {
         let triple = |v: [f32; 3]| format!("{:.2} {:.2} {:.2}", v[0], v[1], v[2]);
         let _ = write!(
             page,
-            "<tr><td class=\"n\">{}<td>{}<td>{}<td>{}<td class=\"n\">{}<td>{}</tr>",
+            "<tr><td class=\"n\">{}<td>{}<td>{}<td>{}<td>{}<td class=\"n\">{}<td>{}</tr>",
             instance.id,
+            instance.level.word(),
             escaped(instance.label()),
             triple(instance.aabb.center.into()),
             triple(instance.aabb.size.into()),

@@ -83,6 +83,12 @@ impl InstanceScore {
         recall(&self.box_iou)
     }
 
+    /// Of objects covered by something a question can reach.
+    #[must_use]
+    pub fn reachable_recall(&self) -> [f32; 2] {
+        recall(&self.reachable_box_iou)
+    }
+
     #[must_use]
     pub fn point_recall(&self) -> [f32; 2] {
         recall(&self.point_iou)

@@ -41,6 +41,18 @@ pub enum Level {
     Whole,
 }
 
+impl Level {
+    /// As the API says it: `thing`, `part`, `whole`.
+    #[must_use]
+    pub fn word(self) -> &'static str {
+        match self {
+            Self::Thing => "thing",
+            Self::Part => "part",
+            Self::Whole => "whole",
+        }
+    }
+}
+
 /// Part of the building rather than an object in it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -187,11 +199,11 @@ pub struct ParseReport {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct StageReport {
-    /// `import`, `superpoints`, `masks_and_lifting`, `merging`, `part_merging`, `refinement`, `views`, `instances`, or with models `appearance`.
+    /// `import`, `superpoints`, `masks_and_lifting`, `merging`, `part_merging`, `hierarchy`, `refinement`, `views`, `instances`, or with models `appearance`.
     pub stage: String,
     /// Wall-clock.
     pub seconds: f32,
-    /// How many came out: points, superpoints, masks over all frames, regions, instances, sightings of instances.
+    /// How many came out: points, superpoints, masks over all frames, regions, proposals of parts and wholes, instances, sightings of instances.
     #[serde(default)]
     pub produced: u64,
     /// Whether they were kept from an earlier parse of the scan that got so far under the same settings.

@@ -6,7 +6,7 @@ use super::query::{Meaning, Phrase, Trait};
 use super::solid::Solid;
 use crate::geometry::colour::lab_of_srgb;
 use crate::models::attributes::{self, Lexicon, Noun, noun_fit};
-use crate::scene::Instance;
+use crate::scene::{Instance, Level};
 
 /// A broader word ("seat" for a sofa) fits a little less than the thing's own name.
 const BROADER_WORD: f32 = 0.9;
@@ -16,6 +16,8 @@ const BROADER_NAME: f32 = 0.5;
 const SYNONYM: f32 = 0.95;
 /// A thing that serves a use as others do; one that is named after the use has 1.
 const SERVES_ALIKE: f32 = 0.93;
+/// Something of any size is among the parts and wholes of a room: where only measures tell what they are, they are a last resort.
+const GUESSED: f32 = 0.55;
 /// How well "thing" and "one" fit everything.
 const ANYTHING: f32 = 0.8;
 /// A colour that is not there at all leaves this: the scan's light may be odd.
@@ -57,7 +59,8 @@ pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
                     .or(by_looks);
             }
             // Looks have been weighed against all other names, measures have not.
-            by_looks.unwrap_or_else(|| by_measure * among_names(by_measure, nouns, instance).sqrt())
+            let guessed = if instance.level == Level::Thing { 1.0 } else { GUESSED };
+            by_looks.unwrap_or_else(|| guessed * by_measure * among_names(by_measure, nouns, instance).sqrt())
         }
     };
     let mut fits: Vec<f32> = scene.instances.iter().enumerate().map(fit).collect();

@@ -7,7 +7,7 @@ use super::lifting::MasksOfFrames;
 use super::views::{Sighting, all_sightings, visible_pixels};
 use crate::models::neural::DualEncoder;
 use crate::progress::Progress;
-use crate::scene::{FrameIndex, FrameRef, Instance, InstanceId, PointCloud, stream_frames};
+use crate::scene::{FrameIndex, FrameRef, Instance, InstanceId, Level, PointCloud, stream_frames};
 use image::{RgbImage, imageops};
 use std::collections::BTreeMap;
 use uniground_types::settings::AppearanceSettings;
@@ -15,7 +15,7 @@ use uniground_types::settings::AppearanceSettings;
 /// Tight boxes in colour pictures, by frame and instance: left, top, right, bottom, pixels.
 pub type Boxes = BTreeMap<FrameIndex, BTreeMap<InstanceId, [u32; 4]>>;
 
-/// The frames each instance is looked at in, with its projected box there.
+/// The frames each instance is looked at in, with its projected box there: parts and wholes in half as many as things, which they overlap.
 #[must_use]
 pub fn choose(instances: &[Instance], sightings: &[Sighting], settings: &AppearanceSettings) -> Boxes {
     let mut of_instance: Vec<Vec<&Sighting>> = vec![Vec::new(); instances.len()];
@@ -27,7 +27,8 @@ pub fn choose(instances: &[Instance], sightings: &[Sighting], settings: &Appeara
         seen.sort_by_key(|s| (std::cmp::Reverse(s.view.visible_points), s.view.frame));
         let least = settings.min_visible * instance.point_count as f32;
         let enough = |(rank, s): &(usize, &Sighting)| *rank == 0 || s.view.visible_points as f32 > least;
-        for (_, sighting) in seen.into_iter().enumerate().filter(enough).take(settings.views as usize) {
+        let views = if instance.level == Level::Thing { settings.views } else { (settings.views / 2).max(1) };
+        for (_, sighting) in seen.into_iter().enumerate().filter(enough).take(views as usize) {
             boxes.entry(sighting.view.frame).or_default().insert(instance.id, sighting.view.box_px);
         }
     }
