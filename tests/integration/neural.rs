@@ -104,7 +104,7 @@ async fn models_take_part_from_the_upload_to_the_answer() {
             .join("embedding_norms.npy"),
     )
     .unwrap();
-    let instances = server.client.all_instances(&scene, Levels::Things).await.unwrap();
+    let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
     assert_eq!(Embeddings::read(&rows, &norms).map(|e| (e.len(), e.dim())).unwrap(), (instances.len(), 64));
 
     // The same settings again: nothing is computed.

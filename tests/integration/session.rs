@@ -4,9 +4,11 @@ use crate::archives::Scan;
 use crate::server::{TestServer, ask, finished, parsed, problem};
 use reqwest::Method;
 use serde_json::json;
+use std::fs;
 use uniground::store::JobState;
 use uniground_core::grounding::Status;
-use uniground_core::scene::InstanceId;
+use uniground_core::scene::{InstanceId, Level};
+use uniground_types::instances::Levels;
 use uniground_types::question::ShortlistRequest;
 use uniground_types::scenes::{SceneReport, SceneStatus};
 
@@ -314,6 +316,36 @@ async fn job_events_tell_progress_and_resume() {
     assert!(text.contains("event: done"), "{text}");
     // Even who has seen the end is told once more that it is the end.
     assert!(events(Some(last)).await.contains("event: done"));
+    server.stop().await;
+}
+
+/// The sample scan: a real room's clutter in small.
+#[tokio::test]
+async fn parts_and_wholes_are_listed_beside_the_things() {
+    let server = TestServer::start().await;
+    let sample = fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap();
+    let scene = server.parsed(sample).await.id;
+    let listed = async |levels| server.client.all_instances(&scene, levels).await.unwrap();
+    let things = listed(Levels::Things).await;
+    let (parts, wholes) = (listed(Levels::Parts).await, listed(Levels::Wholes).await);
+    let all = listed(Levels::All).await;
+    let report = server.client.report(&scene).await.unwrap().parse.unwrap();
+    assert_eq!((things.len(), parts.len() + wholes.len()), (report.instances as usize, report.parts_and_wholes as usize));
+    assert_eq!(all.iter().map(|i| i.id.0).collect::<Vec<_>>(), (1..=all.len() as u32).collect::<Vec<_>>());
+    assert!(things.iter().all(|i| i.level == Level::Thing && i.things.is_empty()));
+    assert!(!parts.is_empty() && parts.iter().all(|i| i.level == Level::Part && i.things.len() == 1));
+    assert!(!wholes.is_empty() && wholes.iter().all(|i| i.level == Level::Whole && i.things.len() >= 2));
+    let thing = |id: InstanceId| &things[id.0 as usize - 1];
+    for whole in &wholes {
+        assert_eq!(whole.point_count, whole.things.iter().map(|&id| thing(id).point_count).sum::<u32>());
+    }
+    for part in &parts {
+        assert!(part.point_count < thing(part.things[0]).point_count);
+        let picture = server.client.bytes(&format!("v1/scenes/{scene}/instances/{}/views/0.jpg", part.id)).await;
+        assert!(part.views.is_empty() || image::load_from_memory(&picture.unwrap()).is_ok());
+    }
+    let wrong = server.client.bytes(&format!("v1/scenes/{scene}/instances?level=bits")).await;
+    assert_eq!(problem(wrong).status, 422);
     server.stop().await;
 }
 

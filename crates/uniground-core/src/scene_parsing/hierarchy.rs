@@ -153,25 +153,38 @@ fn held_together(table: &FrameVisibility) -> Vec<Vec<u32>> {
 
 /// How well masks show each union of rows of the tables.
 fn agreements(tables: &[FrameVisibility], unions: &[Vec<u32>]) -> Vec<f32> {
-    // Per frame: which masks hold how many points, by id image.
-    let frames: Vec<(&[FrameVisibility], Vec<BTreeMap<u16, u32>>)> = tables
-        .chunk_by(|a, b| a.frame == b.frame)
-        .map(|images| {
-            let points = |table: &FrameVisibility| {
-                let mut points = BTreeMap::new();
-                table
-                    .rows
-                    .iter()
-                    .flat_map(|row| &row.masks)
-                    .for_each(|&(mask, n)| *points.entry(mask).or_insert(0) += n);
-                points
-            };
-            (images, images.iter().map(points).collect())
-        })
-        .collect();
-    let in_frame = |(images, points): &(&[FrameVisibility], Vec<BTreeMap<u16, u32>>), union: &[u32]| {
+    let frames: Vec<FrameMasks> = tables.chunk_by(|a, b| a.frame == b.frame).map(FrameMasks::of).collect();
+    let agreement = |union: &Vec<u32>| {
+        let seen = frames.iter().map(|frame| frame.agreement(union));
+        let (sum, weight) = seen.fold((0.0, 0.0), |(sum, weight), (iou, n)| (sum + iou * n, weight + n));
+        if weight > 0.0 { sum / weight } else { 0.0 }
+    };
+    unions.par_iter().map(agreement).collect()
+}
+
+/// One frame.
+struct FrameMasks<'a> {
+    /// One table for each id image.
+    images: &'a [FrameVisibility],
+    /// Points each mask holds, by id image.
+    points: Vec<BTreeMap<u16, u32>>,
+}
+
+impl<'a> FrameMasks<'a> {
+    fn of(images: &'a [FrameVisibility]) -> Self {
+        let points = |table: &FrameVisibility| {
+            let mut points = BTreeMap::new();
+            let masks = table.rows.iter().flat_map(|row| &row.masks);
+            masks.for_each(|&(mask, n)| *points.entry(mask).or_insert(0) += n);
+            points
+        };
+        Self { images, points: images.iter().map(points).collect() }
+    }
+
+    /// IoU of the visible points of a union and those of the mask that fits them best, and how many points are visible.
+    fn agreement(&self, union: &[u32]) -> (f32, f32) {
         let (mut best, mut visible) = (0.0_f32, 0);
-        for (table, points) in images.iter().zip(points) {
+        for (table, points) in self.images.iter().zip(&self.points) {
             let mut shared: BTreeMap<u16, u32> = BTreeMap::new();
             visible = 0;
             for part in union {
@@ -183,11 +196,51 @@ fn agreements(tables: &[FrameVisibility], unions: &[Vec<u32>]) -> Vec<f32> {
             best = shared.into_iter().map(iou).fold(best, f32::max);
         }
         (best, visible as f32)
-    };
-    let agreement = |union: &Vec<u32>| {
-        let seen = frames.iter().map(|frame| in_frame(frame, union));
-        let (sum, weight) = seen.fold((0.0, 0.0), |(sum, weight), (iou, n)| (sum + iou * n, weight + n));
-        if weight > 0.0 { sum / weight } else { 0.0 }
-    };
-    unions.par_iter().map(agreement).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::{Point3, Vector3};
+    use crate::scene::FrameIndex;
+    use crate::scene_parsing::lifting::VisibleSuperpoint;
+    use crate::scene_parsing::superpoints::Patch;
+    use uniground_types::settings::InstanceSettings;
+
+    /// A chest of two superpoints and a lamp on it; one mask shows the drawer, superpoint 1, another chest and lamp together.
+    #[test]
+    fn what_masks_show_beside_the_cut_is_proposed() {
+        let patch = Patch { points: 100, center: Point3::origin(), normal: Vector3::z(), lab: Vector3::zeros() };
+        let superpoints =
+            Superpoints { of_point: Vec::new(), patches: vec![patch; 3], adjacent: vec![(0, 1), (0, 2)], roughness_m: vec![0.0; 3] };
+        let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; 3] };
+        let region_of = [0, 0, 1];
+        let levels = Regions { levels: vec![vec![0, 1, 2], region_of.to_vec()] };
+        let table = |layer, masks: [&[(u16, u32)]; 3]| FrameVisibility {
+            frame: FrameIndex(0),
+            layer,
+            masks: 2,
+            rows: (0..)
+                .zip(masks)
+                .map(|(superpoint, masks)| VisibleSuperpoint { superpoint, visible: 100, masks: masks.to_vec() })
+                .collect(),
+        };
+        let tables = [table(0, [&[(1, 10)], &[(2, 90)], &[]]), table(1, [&[(7, 95)], &[(7, 100)], &[(7, 80)]])];
+        let proposed = |parts_and_wholes| {
+            let instances = InstanceSettings { parts_and_wholes, ..InstanceSettings::default() };
+            let settings = ParsingSettings { instances, ..ParsingSettings::default() };
+            propose(&superpoints, &planes, &levels, &region_of, &tables, &settings, &Progress::silent()).unwrap()
+        };
+        let told: Vec<_> = proposed(1.5)
+            .into_iter()
+            .map(|p| (p.level, p.superpoints, p.regions, (p.agreement * 100.0).round()))
+            .collect();
+        let whole = (Level::Whole, vec![0, 1, 2], vec![0, 1], 92.0);
+        let drawer = (Level::Part, vec![1], vec![0], 90.0);
+        // Superpoint 0 alone is shown by a third of the large mask.
+        let rest = (Level::Part, vec![0], vec![0], 34.0);
+        assert_eq!(told, [whole, drawer, rest]);
+        assert_eq!((proposed(0.5).len(), proposed(0.0).len()), (1, 0));
+    }
 }

@@ -41,7 +41,7 @@ impl<'a> Labels<'a> {
 
     fn new(thing_of_point: Cow<'a, [InstanceId]>, superpoint_of_point: &'a [u32], compounds: Vec<Compound>) -> Self {
         let things = thing_of_point.iter().max().map_or(0, |id| id.0);
-        let superpoints = compounds.iter().flat_map(|c| c.superpoints.last()).max().map_or(0, |&s| s as usize + 1);
+        let superpoints = compounds.iter().filter_map(|c| c.superpoints.last()).max().map_or(0, |&s| s as usize + 1);
         let (mut parts_at, mut wholes_of) = (vec![Vec::new(); superpoints], vec![Vec::new(); things as usize + 1]);
         for (compound, id) in compounds.iter().zip(things + 1..) {
             match compound.level {
