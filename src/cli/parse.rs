@@ -109,8 +109,14 @@ fn show_progress(stage: &str, done: f32) {
 fn print_summary(out: &mut impl Write, Report { import, models, parse }: &Report, instances: &[Instance]) -> io::Result<()> {
     writeln!(
         out,
-        "{} frames, {} points, {} superpoints, {} instances ({} structural), {} parts and wholes",
-        parse.frames_used, parse.points, parse.superpoints, parse.instances, parse.structural, parse.parts_and_wholes
+        "{} frames, {} points, {} superpoints, {} instances ({} structural), {} parts and wholes, {} regions dropped",
+        parse.frames_used,
+        parse.points,
+        parse.superpoints,
+        parse.instances,
+        parse.structural,
+        parse.parts_and_wholes,
+        parse.dropped + parse.specks
     )?;
     writeln!(out, "masks {}, encoder {}", models.masks, models.encoder)?;
     for stage in &parse.stages {

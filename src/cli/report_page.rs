@@ -19,7 +19,8 @@ pub(super) fn render(scan: &Utf8Path, import: &ImportReport, scene: &ParsedScene
     );
     let _ = write!(
         page,
-        "<p>{} points, {} of {} frames used, {} superpoints, {} instances ({} structural), {} parts and wholes, {} of all without a view. \
+        "<p>{} points, {} of {} frames used, {} superpoints, {} instances ({} structural), {} parts and wholes, {} of all without a view; \
+         {} regions that no mask shows and {} specks dropped. \
          Read as {}, up was {}, poses {:?}.</p>",
         report.points,
         report.frames_used,
@@ -29,6 +30,8 @@ pub(super) fn render(scan: &Utf8Path, import: &ImportReport, scene: &ParsedScene
         report.structural,
         report.parts_and_wholes,
         report.without_views,
+        report.dropped,
+        report.specks,
         escaped(&import.format),
         import.up.name(),
         import.pose

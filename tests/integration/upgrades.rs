@@ -58,8 +58,10 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     expected["settings"]["parsing"]["sam_masks"]["wholes"] = false.into();
     expected["settings"]["parsing"]["correction"]["known_agreement"] = Value::Null;
     expected["settings"]["parsing"]["instances"]["min_agreement"] = 0.0.into();
+    expected["settings"]["parsing"]["instances"]["min_points"] = 0.into();
     expected["settings"]["parsing"]["instances"]["parts_and_wholes"] = 0.0.into();
     expected["report"]["dropped"] = 0.into();
+    expected["report"]["specks"] = 0.into();
     expected["report"]["parts_and_wholes"] = 0.into();
     expected["settings"]["import"]["fusion"]["truncation_voxels"] = 5.0.into();
     let path = format!("v1/scenes/{}", scene.id);

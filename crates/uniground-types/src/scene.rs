@@ -187,6 +187,9 @@ pub struct ParseReport {
     /// Regions that became no instance because the masks of the frames that see them show something else; their points belong to nothing.
     #[serde(default)]
     pub dropped: u32,
+    /// Regions that became no instance because they have too few points and no frame shows more of them than a few pixels.
+    #[serde(default)]
+    pub specks: u32,
     /// Instances that no frame shows.
     pub without_views: u32,
     /// What each stage did and took, in order.

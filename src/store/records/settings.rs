@@ -25,6 +25,7 @@ fn without_steps_of_today(stored: &mut Value) {
         ("/parsing/sam_masks", "wholes", Value::Bool(false)),
         ("/parsing/correction", "known_agreement", Value::Null),
         ("/parsing/instances", "min_agreement", Value::from(0.0)),
+        ("/parsing/instances", "min_points", Value::from(0)),
         ("/parsing/instances", "parts_and_wholes", Value::from(0.0)),
     ];
     for (place, name, absent) in young {

@@ -126,7 +126,7 @@ pub fn parse(
         outcome.produced = built.instances.len();
         Ok::<_, ParseError>(built)
     })?;
-    let Built { mut instances, labels, sightings, dropped } = built;
+    let Built { mut instances, labels, sightings, dropped, specks } = built;
     let looked_at = appearance::choose(&instances, &sightings, &settings.appearance);
     views::choose(&mut instances, sightings, &frames, &settings.views);
     let rows = match perception.is_neural() {
@@ -162,6 +162,7 @@ pub fn parse(
         parts_and_wholes: labels.compounds.len() as u32,
         structural: instances.iter().filter(|i| i.structure.is_some()).count() as u32,
         dropped,
+        specks,
         without_views: instances.iter().filter(|i| i.views.is_empty()).count() as u32,
         stages: watch.stages,
         warnings: warnings(frames.len(), &blind),

@@ -38,6 +38,8 @@ pub struct InstanceSettings {
     pub stray_voxel_m: f32,
     /// Regions with which no mask agrees better (IoU over their visible points, mean over frames) are no instances. Not in the paper.
     pub min_agreement: f32,
+    /// Regions of fewer points than this that no frame shows on 16 x 16 pixels are specks and no instances; 0: none are. Not in the paper.
+    pub min_points: u32,
     /// At most this many parts and wholes for each thing are offered beside the things; 0: none. Not in the paper.
     pub parts_and_wholes: f32,
 }
@@ -52,6 +54,7 @@ impl Default for InstanceSettings {
             stray_neighbours: 4,
             stray_voxel_m: 0.03,
             min_agreement: 0.2,
+            min_points: 50,
             parts_and_wholes: 1.5,
         }
     }

@@ -72,6 +72,7 @@ impl ParsingSettings {
                 thin_sigmas: 0.0,
                 stray_neighbours: 0,
                 min_agreement: 0.0,
+                min_points: 0,
                 parts_and_wholes: 0.0,
                 ..InstanceSettings::default()
             },

@@ -11,7 +11,7 @@ use crate::geometry::moments::Moments;
 use crate::geometry::statistics::{median, quantile};
 use crate::geometry::{Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
-use crate::scene::{Instance, InstanceId, Level, PointCloud, Structure, Support};
+use crate::scene::{Instance, InstanceId, Level, PointCloud, Structure, Support, View};
 use crate::scene_parsing::labels::{Compound, Labels};
 use crate::scene_parsing::planes::Planes;
 use crate::scene_parsing::superpoints::Superpoints;
@@ -29,15 +29,18 @@ pub struct Built<'a> {
     pub labels: Labels<'a>,
     /// Of the instances, under their ids.
     pub sightings: Vec<Sighting>,
-    /// Regions that became none.
+    /// Regions that became none, as masks show something else.
     pub dropped: u32,
+    /// Regions too small to be anything.
+    pub specks: u32,
 }
 
 /// Builds instances from numbered regions, parts and wholes, and their sightings. What is none is dropped and the others close up.
 ///
 /// A thing is shown by masks of its own. What stands out of a wall where poses drift, the rims between things and other leftovers are in no
 /// mask, or under one of something else: on the mean over the frames that see it, weighted by its points they see, no mask agrees with it.
-/// Parts of the building are known by their planes, and what no frame sees is not judged. Parts and wholes are judged alike, fall with their
+/// Parts of the building are known by their planes, and what no frame sees is not judged, unless it is a speck: of a few points that a scan's
+/// frames show on a few pixels nobody could tell what they are. Parts and wholes are judged alike, fall with their
 /// things, and are only as many as the settings say.
 ///
 /// # Errors
@@ -65,14 +68,16 @@ pub fn build<'a>(
     let floor_z = planes.floor_z().or_else(lowest_z).unwrap_or(0.0);
     let things = labels.things as usize;
     let mut structures = structures(&shapes[..things], &members, superpoints, planes, floor_z);
-    let new_id = kept(&labels, &structures, &agreement(labels.len(), &sightings), settings);
+    let specks = specks(&shapes[..things], &structures, &sightings, settings);
+    let new_id = kept(&labels, &structures, &specks, &agreement(labels.len(), &sightings), settings);
     let stays = |i: usize| new_id[i + 1].0 != 0;
     let mut at = 0..;
     shapes.retain(|_| at.next().is_some_and(stays));
     let mut at = 0..;
     structures.retain(|_| at.next().is_some_and(stays));
     let labels = labels.renumbered(&new_id);
-    let dropped = (things - labels.things as usize) as u32;
+    let specks = specks.iter().filter(|speck| **speck).count() as u32;
+    let dropped = things as u32 - labels.things - specks;
 
     let boxes: Vec<Aabb> = shapes[..structures.len()].iter().map(|shape| shape.aabb).collect();
     let mut supports = supports(&boxes, &structures, floor_z, progress)?;
@@ -113,15 +118,38 @@ pub fn build<'a>(
         .collect();
     let renumbered = |sighting: Sighting| Sighting { instance: new_id[sighting.instance.0 as usize], ..sighting };
     let sightings = sightings.into_iter().map(renumbered).filter(|sighting| sighting.instance.0 != 0).collect();
-    Ok(Built { instances, labels, sightings, dropped })
+    Ok(Built { instances, labels, sightings, dropped, specks })
+}
+
+/// Fewer pixels than this show nothing, however good the camera.
+const MIN_PICTURE_PX: u32 = 16 * 16;
+
+/// Which regions are specks. A scan without frames has none: nothing tells them.
+fn specks(shapes: &[Shape], structures: &[Option<Structure>], sightings: &[Sighting], settings: &InstanceSettings) -> Vec<bool> {
+    let mut largest_px = vec![0; shapes.len()];
+    for Sighting { instance, view: View { box_px: [left, top, right, bottom], .. }, .. } in sightings {
+        if let Some(largest) = largest_px.get_mut(instance.0 as usize - 1) {
+            *largest = (right - left).saturating_mul(bottom - top).max(*largest);
+        }
+    }
+    let few = |(i, shape): (usize, &Shape)| {
+        shape.point_count < settings.min_points && largest_px[i] < MIN_PICTURE_PX && structures[i].is_none() && !sightings.is_empty()
+    };
+    shapes.iter().enumerate().map(few).collect()
 }
 
 /// The new id of every instance-to-be, by its old one; 0: dropped.
-fn kept(labels: &Labels, structures: &[Option<Structure>], shown: &[Option<f32>], settings: &InstanceSettings) -> Vec<InstanceId> {
+fn kept(
+    labels: &Labels,
+    structures: &[Option<Structure>],
+    specks: &[bool],
+    shown: &[Option<f32>],
+    settings: &InstanceSettings,
+) -> Vec<InstanceId> {
     let mut new_id = vec![InstanceId(0); labels.len() + 1];
     let mut ids = (1..).map(InstanceId);
     for (i, structure) in structures.iter().enumerate() {
-        if structure.is_some() || shown[i].is_none_or(|agreement| agreement >= settings.min_agreement) {
+        if structure.is_some() || !specks[i] && shown[i].is_none_or(|agreement| agreement >= settings.min_agreement) {
             new_id[i + 1] = ids.next().unwrap_or_default();
         }
     }
@@ -271,7 +299,7 @@ pub fn planarity(positions: &[Point3<f32>]) -> f32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{FrameIndex, View};
+    use crate::scene::FrameIndex;
 
     #[test]
     fn agreement_is_weighed_by_what_a_frame_shows_and_unseen_regions_have_none() {
@@ -284,31 +312,37 @@ mod tests {
         assert_eq!(found.iter().map(|a| a.map(|a| (a * 100.0_f32).round())).collect::<Vec<_>>(), [Some(70.0), None, Some(0.0)]);
     }
 
-    /// A block and a sliver beside it, seen by one frame in which no mask shows the sliver.
+    /// Two blocks, a sliver that no mask shows, and a speck of a few points and pixels, seen by one frame.
     #[test]
-    fn a_region_no_mask_shows_is_dropped_and_the_others_close_up() {
+    fn slivers_and_specks_are_dropped_and_the_others_close_up() {
         let block = |x: f32, side: u16| {
             (0..side.pow(3)).map(move |i| {
                 let at = |k: u16| f32::from(i / side.pow(u32::from(k)) % side) * 0.02;
                 Point3::new(x + at(0), at(1), at(2))
             })
         };
-        let positions: Vec<Point3<f32>> = block(0.0, 10).chain(block(1.0, 8)).chain(block(2.0, 6)).collect();
-        let region_of: Vec<u32> = [(0, 1000), (1, 512), (2, 216)].into_iter().flat_map(|(r, n)| std::iter::repeat_n(r, n)).collect();
+        let positions: Vec<Point3<f32>> = block(0.0, 10).chain(block(1.0, 8)).chain(block(2.0, 6)).chain(block(3.0, 3)).collect();
+        let region_of: Vec<u32> = [(0, 1000), (1, 512), (2, 216), (3, 27)]
+            .into_iter()
+            .flat_map(|(r, n)| std::iter::repeat_n(r, n))
+            .collect();
         let cloud = PointCloud { colours: vec![[90; 3]; positions.len()], positions };
         let superpoints =
-            Superpoints { of_point: region_of.clone(), patches: Vec::new(), adjacent: Vec::new(), roughness_m: vec![0.002; 3] };
-        let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; 3] };
+            Superpoints { of_point: region_of.clone(), patches: Vec::new(), adjacent: Vec::new(), roughness_m: vec![0.002; 4] };
+        let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; 4] };
         let seen = |instance, agreement| Sighting {
             instance: InstanceId(instance),
             view: View { frame: FrameIndex(0), visible_points: 100, box_px: [0, 0, 9, 9] },
             agreement,
         };
-        let sightings = vec![seen(1, 0.9), seen(2, 0.1), seen(3, 0.5)];
+        let sightings = vec![seen(1, 0.9), seen(2, 0.1), seen(3, 0.5), seen(4, 0.9)];
         let settings = InstanceSettings::default();
         let labels = Labels::of_regions(&region_of, &superpoints, Vec::new());
         let built = build(&cloud, &superpoints, &planes, labels, sightings, &settings, &Progress::silent()).unwrap();
-        assert_eq!((built.dropped, built.instances.iter().map(|i| i.point_count).collect::<Vec<_>>()), (1, vec![1000, 216]));
+        assert_eq!(
+            (built.dropped, built.specks, built.instances.iter().map(|i| i.point_count).collect::<Vec<_>>()),
+            (1, 1, vec![1000, 216])
+        );
         assert_eq!([0, 1200, 1600].map(|i| built.labels.thing_of_point[i].0), [1, 0, 2]);
         assert_eq!(built.sightings.iter().map(|s| s.instance.0).collect::<Vec<_>>(), [1, 2]);
     }
