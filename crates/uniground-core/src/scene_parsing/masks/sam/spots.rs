@@ -152,7 +152,7 @@ mod tests {
             Candidate { quality: 0.9, cells, area, patch: Patch::default(), window }
         };
         // The inner segment is 20 x 20 of 96 x 64 pixels, 53 x 80 of 256 x 256 cells.
-        let (wide, close) = (mask(250), mask(75));
+        let (wide, close) = (mask(250), mask(60));
         let answered = |found: &[Candidate]| spots.iter().map(|s| s.is_answered((96, 64), found)).collect::<Vec<_>>();
         assert_eq!(answered(&[]), [false, false]);
         assert_eq!(answered(std::slice::from_ref(&wide)), [true, false]);
