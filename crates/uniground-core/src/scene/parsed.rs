@@ -3,16 +3,16 @@
 use super::{Embeddings, Instance, InstanceId, ParseReport, PointCloud};
 use crate::geometry::boxes::Aabb;
 
-/// A parsed scene: every point belongs to one instance, or to none.
+/// A parsed scene: every point belongs to one thing, or to none; parts and wholes overlap the things.
 #[derive(Debug, Clone)]
 pub struct ParsedScene {
     /// The points of the import, in its order.
     pub cloud: PointCloud,
-    /// Instance of each point of `cloud`; 0: none, for what no mask shows.
+    /// Thing each point of `cloud` belongs to; 0: none, for what no mask shows.
     pub instance_of_point: Vec<InstanceId>,
     /// Superpoint of each point, numbered from 0.
     pub superpoint_of_point: Vec<u32>,
-    /// In order of id.
+    /// In order of id: things, then parts and wholes.
     pub instances: Vec<Instance>,
     /// What the instances look like, where an encoder has seen them.
     pub embeddings: Option<Embeddings>,
