@@ -15,6 +15,8 @@ use uniground_core::scene_parsing::labels::Labels;
 use uniground_core::scene_parsing::lifting::{FrameVisibility, Lifted, Lifting};
 use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
 use uniground_core::scene_parsing::superpoints::{self, Superpoints};
+use uniground_core::scene_parsing::views::Labelled;
+use uniground_core::scene_parsing::visibility::Visibility;
 use uniground_core::scene_parsing::{
     ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging, planes, refinement, views,
 };
@@ -66,7 +68,8 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
     push("superpoints", superpoints.patches.len(), score(&majorities(&superpoints, &room.truth))?);
 
     let judged = Judged { masks, truth: room.masks(), best: Mutex::default() };
-    let lifting = Lifting { cloud, superpoint_of_point: &superpoints.of_point, masks: &judged, depth_tolerance: settings.depth_tolerance };
+    let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
+    let lifting = Lifting { visibility: &visibility, superpoint_of_point: &superpoints.of_point, masks: &judged };
     let (lifted, _) = lifting.all(&frames, Checkpoints::none().log("lifting", &()), &quiet)?;
     let (tables, masks_of) = Lifted::apart(lifted);
     let best = judged.best.into_inner().unwrap_or_else(PoisonError::into_inner);
@@ -104,11 +107,12 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
         better(&mut sum.point_iou, &here.point_iou);
         push(&step, pieces, here);
     }
-    let refined = refinement::refine(cloud, superpoints.spread(&joined), &frames, &masks_of, settings.depth_tolerance, &quiet)?;
+    let refined = refinement::refine(cloud, &visibility, superpoints.spread(&joined), &frames, &masks_of, &quiet)?;
     push("refined", labels(&refined), score_points(&refined)?);
     let proposals = hierarchy::propose(&superpoints, &planes, &merged, &joined, &tables, settings, &quiet)?;
     let labels = Labels::of_regions(&refined, &superpoints, proposals);
-    let sightings = views::all_sightings(cloud, &labels, &frames, settings.depth_tolerance, &masks_of, &quiet)?;
+    let labelled = Labelled { labels: &labels, visibility: &visibility };
+    let sightings = views::all_sightings(labelled, &frames, &masks_of, &quiet)?;
     let built = instances::build(cloud, &superpoints, &planes, labels, sightings, &settings.instances, &quiet)?;
     let shown = score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth);
     let point_iou = reached(&built.labels, &objects, &room.truth);

@@ -8,9 +8,12 @@ use uniground_core::models::neural::DualEncoder;
 use uniground_core::models::{attributes, calibration};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{Embeddings, FrameRef, Instance, InstanceId, Level, NameGuess, PointCloud, Structure, Support};
-use uniground_core::scene_parsing::appearance::{self, Labelled};
+use uniground_core::scene_parsing::appearance;
 use uniground_core::scene_parsing::instances::{planarity, supports};
 use uniground_core::scene_parsing::labels::Labels;
+use uniground_core::scene_parsing::lifting::MasksOfFrames;
+use uniground_core::scene_parsing::views::Labelled;
+use uniground_core::scene_parsing::visibility::Visibility;
 use uniground_core::scene_parsing::{ParseError, ParsingSettings, views};
 
 /// Who names annotated instances.
@@ -105,7 +108,8 @@ pub fn see(
 ) -> Result<Embeddings, ParseError> {
     let (own, instance_of_point) = points_of(annotations, cloud);
     let labels = Labels::of_things(&instance_of_point);
-    let labelled = Labelled { cloud: &own, labels: &labels, depth_tolerance: settings.depth_tolerance };
+    let visibility = visibility(&own, &instance_of_point, settings);
+    let labelled = Labelled { labels: &labels, visibility: &visibility };
     let rows = appearance::of_known(frames, instances, labelled, encoder, &settings.appearance)?;
     Ok(calibration::name_all(instances, encoder, &rows)?)
 }
@@ -123,12 +127,16 @@ pub(super) fn view(
 ) -> Result<(), ParseError> {
     let (own, instance_of_point) = points_of(annotations, cloud);
     let labels = Labels::of_things(&instance_of_point);
-    let mut seen = Vec::new();
-    for frame in frames {
-        seen.extend(views::sightings(&own, &labels, frame, &frame.decode_depth()?, settings.depth_tolerance, &[]));
-    }
+    let visibility = visibility(&own, &instance_of_point, settings);
+    let labelled = Labelled { labels: &labels, visibility: &visibility };
+    let seen = views::all_sightings(labelled, frames, &MasksOfFrames::new(), &Progress::silent())?;
     views::choose(instances, seen, frames, &settings.views);
     Ok(())
+}
+
+fn visibility(cloud: &PointCloud, instance_of_point: &[InstanceId], settings: &ParsingSettings) -> Visibility {
+    let group_of: Vec<u32> = instance_of_point.iter().map(|id| id.0).collect();
+    Visibility::new(cloud, &group_of, settings.depth_tolerance)
 }
 
 /// The points that are annotated as some object's, and as whose.

@@ -33,6 +33,7 @@ impl Intrinsics {
 
     /// Pixel coordinates of a point in camera axes (metres); `None` behind the camera or outside the image.
     #[must_use]
+    #[inline]
     pub fn project(&self, p: &Point3<f32>) -> Option<Pixel> {
         if p.z <= 0.0 || p.z.is_nan() {
             return None;
@@ -63,6 +64,7 @@ pub struct Pixel {
 impl Pixel {
     /// Column and row of the pixel that holds this position.
     #[must_use]
+    #[inline]
     pub fn cell(&self) -> (u32, u32) {
         ((self.u + 0.5) as u32, (self.v + 0.5) as u32)
     }
@@ -89,8 +91,27 @@ impl Camera {
     /// `p` is in metres, world frame (Z up). Returns `None` behind the camera (`z <= 0`) or outside the image;
     /// depth is not looked at here.
     #[must_use]
+    #[inline]
     pub fn project(&self, p: &Point3<f32>) -> Option<Pixel> {
         self.intrinsics.project(&(self.world_to_own * p))
+    }
+
+    /// Whether some of a ball may [`project`](Self::project) into the image: `false` only if no point of it does.
+    ///
+    /// `center` and `radius_m` are in metres, world frame (Z up).
+    #[must_use]
+    pub fn may_show(&self, center: &Point3<f32>, radius_m: f32) -> bool {
+        let Intrinsics { width, height, fx, fy, cx, cy } = self.intrinsics;
+        let c = self.world_to_own * center;
+        // Room for rounding, which grows with the distance.
+        let radius = radius_m + 1e-3 + 1e-5 * c.coords.norm();
+        // Signed distance to a side of the viewing pyramid: `along` pixels from the optical axis, at focal length `f`.
+        let inside = |f: f32, across: f32, along: f32| f * across + along * c.z > -radius * f.hypot(along);
+        c.z > -radius
+            && inside(fx, c.x, cx + 0.5)
+            && inside(fx, -c.x, width as f32 - 0.5 - cx)
+            && inside(fy, c.y, cy + 0.5)
+            && inside(fy, -c.y, height as f32 - 0.5 - cy)
     }
 
     /// Takes points of the world frame to OpenCV camera axes, metres; the inverse of the pose.
@@ -133,6 +154,22 @@ mod tests {
     }
 
     proptest! {
+        #[test]
+        fn a_ball_that_is_passed_over_shows_nothing(
+            center in prop::array::uniform3(-4.0_f32..4.0),
+            radius_m in 0.01_f32..1.0,
+            within in prop::array::uniform3(-1.0_f32..1.0),
+        ) {
+            let camera = Camera::new(VGA, &Isometry3::translation(0.3, -0.2, 0.5));
+            let center = Point3::from(center);
+            let within = Vector3::from(within);
+            let point = center + within * (radius_m / within.norm().max(1.0));
+            prop_assert!(camera.project(&point).is_none() || camera.may_show(&center, radius_m));
+            // What lies well behind or beside is passed over.
+            prop_assert!(!camera.may_show(&Point3::new(0.3, -0.2, 0.4 - radius_m), radius_m * 0.9));
+            prop_assert!(!camera.may_show(&Point3::new(5.0, -0.2, 1.5), 1.0));
+        }
+
         #[test]
         fn unprojecting_a_projection_returns_the_point(u in 0.0_f32..639.0, v in 0.0_f32..479.0, z in 0.1_f32..10.0) {
             let pixel = VGA.project(&VGA.unproject(u, v, z)).unwrap();

@@ -2,12 +2,11 @@
 
 use super::ParseError;
 use super::correction::{Corrector, KnownMasks, Projection};
-use super::labels::Labels;
 use super::lifting::MasksOfFrames;
-use super::views::{Sighting, all_sightings, visible_pixels};
+use super::views::{Labelled, Sighting, all_sightings, visible_pixels};
 use crate::models::neural::DualEncoder;
 use crate::progress::Progress;
-use crate::scene::{FrameIndex, FrameRef, Instance, InstanceId, Level, PointCloud, stream_frames};
+use crate::scene::{FrameIndex, FrameRef, Instance, InstanceId, Level, stream_frames};
 use image::{RgbImage, imageops};
 use std::collections::BTreeMap;
 use uniground_types::settings::AppearanceSettings;
@@ -33,17 +32,6 @@ pub fn choose(instances: &[Instance], sightings: &[Sighting], settings: &Appeara
         }
     }
     boxes
-}
-
-/// The points of a parsed scene, by instance.
-#[derive(Clone, Copy)]
-pub struct Labelled<'a> {
-    /// All points, metres, world frame (Z up).
-    pub cloud: &'a PointCloud,
-    /// The instances of each.
-    pub labels: &'a Labels<'a>,
-    /// Share of the measured depth by which a visible point may miss it.
-    pub depth_tolerance: f32,
 }
 
 /// A segmenter to be asked for outlines, and those known already.
@@ -111,7 +99,7 @@ pub fn of_known(
     settings: &AppearanceSettings,
 ) -> Result<Vec<f32>, ParseError> {
     let quiet = Progress::silent();
-    let seen = all_sightings(labelled.cloud, labelled.labels, frames, labelled.depth_tolerance, &MasksOfFrames::new(), &quiet)?;
+    let seen = all_sightings(labelled, frames, &MasksOfFrames::new(), &quiet)?;
     let boxes = choose(instances, &seen, settings);
     Ok(look(frames, instances, boxes, labelled, (None, Some(encoder)), settings, &quiet)?.0)
 }
@@ -128,12 +116,14 @@ fn correct(
     let depth = frame.decode_depth()?;
     let known: Vec<KnownMasks> = known.get(&frame.index).into_iter().flatten().map(|masks| KnownMasks::of(masks, frame)).collect();
     let mut encoded = None;
-    let pixels = visible_pixels(labelled.cloud, labelled.labels, frame, &depth, labelled.depth_tolerance);
+    let pixels = visible_pixels(labelled, frame, &depth);
     for of_instance in pixels.chunk_by(|a, b| a.instance == b.instance) {
         progress.check()?;
         let instance = of_instance[0].instance;
         let Some(tight) = boxes.get_mut(&instance) else { continue };
-        let pixels: Vec<(f32, f32)> = of_instance.iter().map(|point| point.at).collect();
+        // The draws of the corrector follow the picture, whatever the order of the cloud.
+        let mut pixels: Vec<(f32, f32)> = of_instance.iter().map(|point| point.at).collect();
+        pixels.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
         let projection = Projection { instance, frame: frame.index, pixels: &pixels };
         let size = picture.dimensions();
         let mut corrected = known.iter().find_map(|known| corrector.known_box(known, &projection, size));

@@ -6,9 +6,9 @@
 use super::ParseError;
 use super::checkpoints::Log;
 use super::masks::{IdImage, IdRuns, MaskSource};
+use super::visibility::Visibility;
 use crate::progress::Progress;
-use crate::scene::{Frame, FrameIndex, FrameRef, PointCloud, stream_frames};
-use rayon::prelude::*;
+use crate::scene::{Frame, FrameIndex, FrameRef, stream_frames};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -38,14 +38,12 @@ pub struct VisibleSuperpoint {
 
 /// A labelled cloud, and how a frame sees it.
 pub struct Lifting<'a> {
-    /// Points, metres, world frame (Z up).
-    pub cloud: &'a PointCloud,
+    /// The points, by superpoint.
+    pub visibility: &'a Visibility,
     /// One superpoint, numbered from 0, per point of the cloud.
     pub superpoint_of_point: &'a [u32],
     /// Who cuts a frame into masks.
     pub masks: &'a dyn MaskSource,
-    /// See [`lift`].
-    pub depth_tolerance: f32,
 }
 
 /// What a frame sees of each superpoint, and its masks themselves.
@@ -88,7 +86,7 @@ impl Lifting<'_> {
                 progress.check()?;
                 let frame = frame.decode()?;
                 let images = self.masks.masks(&frame, progress)?;
-                let tables = lift(self.cloud, self.superpoint_of_point, &frame, &images, self.depth_tolerance);
+                let tables = lift(self.visibility, self.superpoint_of_point, &frame, &images);
                 Ok::<_, ParseError>(Lifted { frame: frame.index, tables, masks: images.iter().map(IdRuns::of).collect() })
             },
             |i, frame| {
@@ -101,50 +99,30 @@ impl Lifting<'_> {
     }
 }
 
-/// Looks up every point in one frame and its id images (paper: visible when it projects inside, in front, and fits the measured depth).
-///
-/// `depth_tolerance` is relative: `|z - d| <= tolerance * d`. A hole in the depth is unknown, hence not visible.
+/// Looks up every point in one frame and its id images; `visibility` goes by superpoint.
 #[must_use]
-pub fn lift(
-    cloud: &PointCloud,
-    superpoint_of_point: &[u32],
-    frame: &Frame,
-    images: &[IdImage],
-    depth_tolerance: f32,
-) -> Vec<FrameVisibility> {
-    let seen: Vec<(u32, (u32, u32))> = cloud
-        .positions
-        .par_iter()
-        .with_min_len(1 << 14)
-        .zip(superpoint_of_point)
-        .filter_map(|(p, &superpoint)| {
-            let pixel = frame.depth_camera.project(p)?;
-            let cell = pixel.cell();
-            let depth_m = frame.depth.at(cell);
-            (depth_m > 0.0 && (pixel.z_m - depth_m).abs() <= depth_tolerance * depth_m).then_some((superpoint, cell))
-        })
-        .collect();
+pub fn lift(visibility: &Visibility, superpoint_of_point: &[u32], frame: &Frame, images: &[IdImage]) -> Vec<FrameVisibility> {
+    let seen = visibility.in_frame(&frame.depth_camera, &frame.depth);
     (0..)
         .zip(images)
         .map(|(layer, masks)| {
-            let mut hits: Vec<(u32, u16)> = seen.iter().map(|&(superpoint, cell)| (superpoint, masks.at(cell))).collect();
-            hits.sort_unstable();
-            FrameVisibility { frame: frame.index, layer, masks: masks.count(), rows: rows(&hits) }
-        })
-        .collect()
-}
-
-/// One row per superpoint; `hits` are superpoints and masks of points, sorted.
-fn rows(hits: &[(u32, u16)]) -> Vec<VisibleSuperpoint> {
-    hits.chunk_by(|a, b| a.0 == b.0)
-        .map(|of_superpoint| VisibleSuperpoint {
-            superpoint: of_superpoint[0].0,
-            visible: of_superpoint.len() as u32,
-            masks: of_superpoint
-                .chunk_by(|a, b| a.1 == b.1)
-                .filter(|of_mask| of_mask[0].1 != 0)
-                .map(|of_mask| (of_mask[0].1, of_mask.len() as u32))
-                .collect(),
+            let rows = seen
+                .chunk_by(|a, b| superpoint_of_point[a.point as usize] == superpoint_of_point[b.point as usize])
+                .map(|of_superpoint| {
+                    let mut ids: Vec<u16> = of_superpoint.iter().map(|seen| masks.at(seen.cell)).collect();
+                    ids.sort_unstable();
+                    VisibleSuperpoint {
+                        superpoint: superpoint_of_point[of_superpoint[0].point as usize],
+                        visible: of_superpoint.len() as u32,
+                        masks: ids
+                            .chunk_by(|a, b| a == b)
+                            .filter(|same| same[0] != 0)
+                            .map(|same| (same[0], same.len() as u32))
+                            .collect(),
+                    }
+                })
+                .collect();
+            FrameVisibility { frame: frame.index, layer, masks: masks.count(), rows }
         })
         .collect()
 }
@@ -177,7 +155,7 @@ pub fn coarsen(table: &FrameVisibility, region_of: &[u32]) -> FrameVisibility {
 mod tests {
     use super::*;
     use crate::geometry::{Isometry3, Point3};
-    use crate::scene::{Camera, DepthImage, Intrinsics};
+    use crate::scene::{Camera, DepthImage, Intrinsics, PointCloud};
 
     /// A 4x4 camera at the origin looking along +Z at a wall two metres away, with a hole in the last row.
     fn frame() -> Frame {
@@ -194,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn occluded_points_holes_and_points_outside_are_not_visible() {
+    fn each_id_image_has_a_table_of_visible_points() {
         let frame = frame();
         let at = |u: f32, v: f32, z: f32| frame.depth_camera.intrinsics.unproject(u, v, z);
         let cloud = PointCloud {
@@ -210,7 +188,7 @@ mod tests {
         };
         let masks = IdImage { width: 4, height: 4, ids: (0..16).map(|i| u16::from(i != 1) * 7).collect() };
         let whole = IdImage { ids: vec![3; 16], ..masks.clone() };
-        let tables = lift(&cloud, &[5, 5, 5, 5, 5, 5], &frame, &[masks, whole], 0.05);
+        let tables = lift(&Visibility::new(&cloud, &[5; 6], 0.05), &[5; 6], &frame, &[masks, whole]);
         assert_eq!(tables[0].rows, [VisibleSuperpoint { superpoint: 5, visible: 2, masks: vec![(7, 1)] }]);
         assert_eq!(tables[1].rows, [VisibleSuperpoint { superpoint: 5, visible: 2, masks: vec![(3, 2)] }]);
     }

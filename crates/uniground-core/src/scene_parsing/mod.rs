@@ -26,13 +26,14 @@ pub mod report_pictures;
 mod stopwatch;
 pub mod superpoints;
 pub mod views;
+pub mod visibility;
 
 use crate::geometry::boxes::Aabb;
 use crate::models::neural::{DualEncoder, ModelError};
 use crate::models::{attributes, calibration};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::{FrameError, FrameRef, ParseReport, ParsedScene, PointCloud, SceneBundle};
-use appearance::{Correction, Labelled};
+use appearance::Correction;
 use checkpoints::Checkpoints;
 use correction::Corrector;
 use hierarchy::Proposal;
@@ -44,6 +45,8 @@ use planes::Planes;
 pub use stopwatch::{StageOutcome, Stopwatch};
 use superpoints::Superpoints;
 pub use uniground_types::settings::ParsingSettings;
+use views::Labelled;
+use visibility::Visibility;
 
 /// Why a scene could not be cut into instances.
 #[derive(Debug, thiserror::Error)]
@@ -111,12 +114,13 @@ pub fn parse(
     let mut watch = Stopwatch::default();
     let ends = perception.ends();
 
-    let Grouped { superpoints, planes, masks_of, region_of, proposals, blind } =
+    let Grouped { superpoints, planes, visibility, masks_of, region_of, proposals, blind } =
         group(&cloud, &frames, perception, settings, checkpoints, progress, &mut watch)?;
     let labels = Labels::of_regions(&region_of, &superpoints, proposals);
     let sightings = watch.time("views", |outcome| {
         let viewing = progress.part(ends[5], ends[6]);
-        let sightings = views::all_sightings(&cloud, &labels, &frames, settings.depth_tolerance, &masks_of, &viewing)?;
+        let labelled = Labelled { labels: &labels, visibility: &visibility };
+        let sightings = views::all_sightings(labelled, &frames, &masks_of, &viewing)?;
         outcome.produced = sightings.len();
         Ok::<_, ParseError>(sightings)
     })?;
@@ -132,7 +136,7 @@ pub fn parse(
     let rows = match perception.is_neural() {
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
-            let labelled = Labelled { cloud: &cloud, labels: &labels, depth_tolerance: settings.depth_tolerance };
+            let labelled = Labelled { labels: &labels, visibility: &visibility };
             let looking = progress.part(ends[7], 1.0);
             let (rows, boxes) = appearance::look(
                 &frames,
@@ -176,6 +180,7 @@ pub fn parse(
 struct Grouped {
     superpoints: Superpoints,
     planes: Planes,
+    visibility: Visibility,
     masks_of: MasksOfFrames,
     /// One region per point of the cloud.
     region_of: Vec<u32>,
@@ -211,11 +216,12 @@ fn group(
     let masks = perception.masks;
     let mask_settings = (masks.name(), &settings.rgbd_masks, &settings.sam_masks);
     let lifted_with = (&settings.superpoints, &settings.frame_sampling, mask_settings, settings.depth_tolerance);
-    let lifted = watch.time("masks_and_lifting", |outcome| {
-        let lifting = Lifting { cloud, superpoint_of_point: &superpoints.of_point, masks, depth_tolerance: settings.depth_tolerance };
+    let (visibility, lifted) = watch.time("masks_and_lifting", |outcome| {
+        let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
+        let lifting = Lifting { visibility: &visibility, superpoint_of_point: &superpoints.of_point, masks };
         let (lifted, reused) = lifting.all(frames, checkpoints.log("lifting", &lifted_with), &progress.part(ends[1], ends[2]))?;
         *outcome = StageOutcome { produced: lifted.iter().flat_map(|l| &l.tables).map(|table| table.masks as usize).sum(), reused };
-        Ok::<_, ParseError>(lifted)
+        Ok::<_, ParseError>((visibility, lifted))
     })?;
     let (tables, masks_of) = Lifted::apart(lifted);
     let blind: Vec<String> = tables.iter().filter(|t| t.layer == 0 && t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
@@ -242,12 +248,12 @@ fn group(
         false => region_of,
         true => watch.time("refinement", |outcome| {
             let refining = progress.part(ends[4], ends[5]);
-            let refined = refinement::refine(cloud, region_of, frames, &masks_of, settings.depth_tolerance, &refining)?;
+            let refined = refinement::refine(cloud, &visibility, region_of, frames, &masks_of, &refining)?;
             outcome.produced = count(&refined);
             Ok::<_, ParseError>(refined)
         })?,
     };
-    Ok(Grouped { superpoints, planes, masks_of, region_of, proposals, blind })
+    Ok(Grouped { superpoints, planes, visibility, masks_of, region_of, proposals, blind })
 }
 
 /// What the one who reads the report should know, given the frames that see no point of the cloud.

@@ -6,6 +6,7 @@
 
 use super::ParseError;
 use super::lifting::MasksOfFrames;
+use super::visibility::Visibility;
 use crate::geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
 use crate::progress::Progress;
 use crate::scene::{FrameRef, PointCloud, stream_frames};
@@ -43,10 +44,10 @@ impl Votes {
 /// [`ParseError`]: an unreadable frame, or cancellation.
 pub fn refine(
     cloud: &PointCloud,
+    visibility: &Visibility,
     mut region_of: Vec<u32>,
     frames: &[FrameRef],
     masks: &MasksOfFrames,
-    depth_tolerance: f32,
     progress: &Progress,
 ) -> Result<Vec<u32>, ParseError> {
     let mut votes = vec![Votes::default(); cloud.len()];
@@ -54,23 +55,10 @@ pub fn refine(
         frames,
         |frame| {
             progress.check()?;
-            let (depth, camera) = (frame.decode_depth()?, frame.depth_camera());
-            let seen: Vec<(u32, (u32, u32))> = cloud
-                .positions
-                .par_iter()
-                .enumerate()
-                .with_min_len(1 << 14)
-                .filter_map(|(i, p)| {
-                    let pixel = camera.project(p)?;
-                    let cell = pixel.cell();
-                    let depth_m = depth.at(cell);
-                    let visible = depth_m > 0.0 && (pixel.z_m - depth_m).abs() <= depth_tolerance * depth_m;
-                    visible.then_some((i as u32, cell))
-                })
-                .collect();
+            let seen = visibility.in_frame(&frame.depth_camera(), &frame.decode_depth()?);
             let by_image = masks[&frame.index].iter().flat_map(|masks| {
                 let ids = masks.unpacked();
-                let hits: Vec<(u32, u16)> = seen.iter().map(|&(point, cell)| (point, ids.at(cell))).collect();
+                let hits: Vec<(u32, u16)> = seen.iter().map(|seen| (seen.point, ids.at(seen.cell))).collect();
                 told(&hits, &region_of)
             });
             Ok::<_, ParseError>(by_image.collect::<Vec<_>>())
@@ -109,9 +97,12 @@ pub fn refine(
 
 /// The region each visible point belongs to by the masks of one frame, for points of regions that this frame tells from others.
 fn told(hits: &[(u32, u16)], region_of: &[u32]) -> Vec<(u32, u32)> {
+    let region = |&(point, _): &(u32, u16)| region_of[point as usize];
+    // Neighbours mostly agree: what is alike in a row is looked up once.
+    let runs = || hits.chunk_by(|a, b| a.1 == b.1 && region(a) == region(b));
     let mut shared: BTreeMap<(u16, u32), u32> = BTreeMap::new();
-    for &(point, mask) in hits {
-        *shared.entry((mask, region_of[point as usize])).or_default() += 1;
+    for run in runs() {
+        *shared.entry((run[0].1, region(&run[0]))).or_default() += run.len() as u32;
     }
     // Mask: points in all, and the region with most of them. Region: the mask with most of its points, no mask included.
     let mut masks: BTreeMap<u16, (u32, u32, u32)> = BTreeMap::new();
@@ -128,12 +119,14 @@ fn told(hits: &[(u32, u16)], region_of: &[u32]) -> Vec<(u32, u32)> {
         }
     }
     let owner = |mask: u16| masks.get(&mask).filter(|(all, most, _)| mask != 0 && 2 * most > *all).map(|&(_, _, region)| region);
-    hits.iter()
-        .filter(|(point, _)| {
-            let own = region_of[*point as usize];
-            owner(regions[&own].1) == Some(own)
-        })
-        .filter_map(|&(point, mask)| Some((point, owner(mask)?)))
+    let told = |run: &[(u32, u16)]| {
+        let own = region(&run[0]);
+        let told_apart = owner(regions[&own].1) == Some(own);
+        told_apart.then(|| owner(run[0].1)).flatten()
+    };
+    runs()
+        .filter_map(|run| Some((run, told(run)?)))
+        .flat_map(|(run, to)| run.iter().map(move |&(point, _)| (point, to)))
         .collect()
 }
 

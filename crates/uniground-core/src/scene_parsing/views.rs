@@ -5,13 +5,23 @@ use super::appearance::Boxes;
 use super::labels::Labels;
 use super::lifting::MasksOfFrames;
 use super::masks::IdRuns;
+use super::visibility::{Visibility, VisiblePoint};
 use crate::geometry::Point3;
 use crate::geometry::statistics::quantile;
 use crate::progress::Progress;
-use crate::scene::{Camera, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View, stream_frames};
+use crate::scene::{Camera, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, View, stream_frames};
 use rayon::prelude::*;
 use std::collections::BTreeMap;
 use uniground_types::settings::ViewSettings;
+
+/// The points of a scene by instance, ready to be looked up in frames.
+#[derive(Clone, Copy)]
+pub struct Labelled<'a> {
+    /// The instances of each point.
+    pub labels: &'a Labels<'a>,
+    /// The points.
+    pub visibility: &'a Visibility,
+}
 
 /// One frame's sight of one instance.
 #[derive(Debug, Clone, PartialEq)]
@@ -24,9 +34,9 @@ pub struct Sighting {
     pub agreement: f32,
 }
 
-/// A point of an instance that a frame shows.
+/// A visible point of an instance in the pictures of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct VisiblePoint {
+pub struct InstancePixel {
     /// What it belongs to.
     pub instance: InstanceId,
     /// Column and row in the colour picture.
@@ -35,64 +45,45 @@ pub struct VisiblePoint {
     pub cell: (u32, u32),
 }
 
-/// The visible points of every instance this frame shows, sorted by instance, then column and row in its colour picture.
+/// The visible points of every instance this frame shows, sorted by instance.
 #[must_use]
-pub fn visible_pixels(
-    cloud: &PointCloud,
-    labels: &Labels,
-    frame: &FrameRef,
-    depth: &DepthImage,
-    depth_tolerance: f32,
-) -> Vec<VisiblePoint> {
-    let (depth_camera, colour_camera) = (frame.depth_camera(), frame.colour_camera());
-    let mut hits: Vec<VisiblePoint> = cloud
-        .positions
-        .par_iter()
-        .with_min_len(1 << 14)
-        .enumerate()
-        .filter(|(i, _)| labels.thing_of_point[*i].0 != 0)
-        .filter_map(|(i, p)| {
-            let seen = depth_camera.project(p)?;
-            let depth_m = depth.at(seen.cell());
-            let visible = depth_m > 0.0 && (seen.z_m - depth_m).abs() <= depth_tolerance * depth_m;
-            let pixel = visible.then(|| colour_camera.project(p)).flatten()?;
+pub fn visible_pixels(labelled: Labelled, frame: &FrameRef, depth: &DepthImage) -> Vec<InstancePixel> {
+    let (Labelled { labels, visibility }, colour_camera) = (labelled, frame.colour_camera());
+    let mut pixels: Vec<InstancePixel> = visibility
+        .in_frame(&frame.depth_camera(), depth)
+        .into_iter()
+        .filter_map(|VisiblePoint { point, position, cell }| {
+            let pixel = colour_camera.project(&position)?;
             Some(
                 labels
-                    .of(i)
-                    .map(move |instance| VisiblePoint { instance, at: (pixel.u, pixel.v), cell: seen.cell() }),
+                    .of(point as usize)
+                    .map(move |instance| InstancePixel { instance, at: (pixel.u, pixel.v), cell }),
             )
         })
-        .flatten_iter()
+        .flatten()
         .collect();
-    hits.sort_unstable_by(|a, b| a.instance.cmp(&b.instance).then(a.at.0.total_cmp(&b.at.0)).then(a.at.1.total_cmp(&b.at.1)));
-    hits
+    pixels.sort_by_key(|pixel| pixel.instance);
+    pixels
 }
 
 /// Every instance this frame shows, in order of id; `masks` are the frame's id images.
 ///
 /// The box in the picture is robust: the outermost 1 % of the visible points at each side are left out.
 #[must_use]
-pub fn sightings(
-    cloud: &PointCloud,
-    labels: &Labels,
-    frame: &FrameRef,
-    depth: &DepthImage,
-    depth_tolerance: f32,
-    masks: &[IdRuns],
-) -> Vec<Sighting> {
-    let hits = visible_pixels(cloud, labels, frame, depth, depth_tolerance);
+pub fn sightings(labelled: Labelled, frame: &FrameRef, depth: &DepthImage, masks: &[IdRuns]) -> Vec<Sighting> {
+    let hits = visible_pixels(labelled, frame, depth);
     let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
-    let agreements = agreements(&hits, labels.things, masks);
+    let agreements = agreements(&hits, labelled.labels.things, masks);
     hits.chunk_by(|a, b| a.instance == b.instance)
         .map(|hits| {
-            let bound = |of: &dyn Fn(&VisiblePoint) -> f32, q| quantile(&mut hits.iter().map(of).collect::<Vec<_>>(), q).unwrap_or(0.0);
-            let (u, v) = (|hit: &VisiblePoint| hit.at.0, |hit: &VisiblePoint| hit.at.1);
             // At least one pixel each way, inside the picture.
-            let span = |of: &dyn Fn(&VisiblePoint) -> f32, len: u32| {
-                let low = bound(of, TRIM).floor().clamp(0.0, len as f32 - 1.0) as u32;
-                (low, (bound(of, 1.0 - TRIM).ceil() as u32).clamp(low + 1, len))
+            let span = |of: fn(&InstancePixel) -> f32, len: u32| {
+                let mut along: Vec<f32> = hits.iter().map(of).collect();
+                let mut bound = |q| quantile(&mut along, q).unwrap_or(0.0);
+                let low = bound(TRIM).floor().clamp(0.0, len as f32 - 1.0) as u32;
+                (low, (bound(1.0 - TRIM).ceil() as u32).clamp(low + 1, len))
             };
-            let ((left, right), (top, bottom)) = (span(&u, width), span(&v, height));
+            let ((left, right), (top, bottom)) = (span(|hit| hit.at.0, width), span(|hit| hit.at.1, height));
             let box_px = [left, top, right, bottom];
             let instance = hits[0].instance;
             let view = View { frame: frame.index, visible_points: hits.len() as u32, box_px };
@@ -101,23 +92,39 @@ pub fn sightings(
         .collect()
 }
 
+/// What a frame shows of one instance.
+struct Held {
+    instance: InstanceId,
+    visible: u32,
+    /// Visible points per mask, sorted by mask; 0: under none.
+    masks: Vec<(u16, u32)>,
+}
+
 /// For each instance the best IoU of its visible points with those of a mask. Things have ids up to `things`; the others overlap them.
-fn agreements(hits: &[VisiblePoint], things: u32, masks: &[IdRuns]) -> BTreeMap<InstanceId, f32> {
+fn agreements(hits: &[InstancePixel], things: u32, masks: &[IdRuns]) -> BTreeMap<InstanceId, f32> {
     let mut best: BTreeMap<InstanceId, f32> = BTreeMap::new();
     for ids in masks.iter().map(IdRuns::unpacked) {
-        let mut shared: BTreeMap<(InstanceId, u16), u32> = BTreeMap::new();
-        hits.iter().for_each(|hit| *shared.entry((hit.instance, ids.at(hit.cell))).or_default() += 1);
-        let (mut of_instance, mut of_mask) = (BTreeMap::new(), BTreeMap::new());
-        for (&(instance, mask), &n) in &shared {
-            *of_instance.entry(instance).or_insert(0) += n;
+        let of_hit: Vec<u16> = hits.iter().map(|hit| ids.at(hit.cell)).collect();
+        let mut of_mask: BTreeMap<u16, u32> = BTreeMap::new();
+        let mut held: Vec<Held> = Vec::new();
+        let mut start = 0;
+        for same in hits.chunk_by(|a, b| a.instance == b.instance) {
+            let mut own = of_hit[start..start + same.len()].to_vec();
+            start += same.len();
+            own.sort_unstable();
+            let masks: Vec<(u16, u32)> = own.chunk_by(|a, b| a == b).map(|same| (same[0], same.len() as u32)).collect();
+            let instance = same[0].instance;
             if instance.0 <= things {
-                *of_mask.entry(mask).or_insert(0) += n;
+                masks.iter().for_each(|&(mask, n)| *of_mask.entry(mask).or_insert(0) += n);
             }
+            held.push(Held { instance, visible: same.len() as u32, masks });
         }
-        for ((instance, mask), both) in shared.into_iter().filter(|((_, mask), _)| *mask != 0) {
-            let iou = both as f32 / (of_instance[&instance] + of_mask[&mask] - both) as f32;
-            let so_far = best.entry(instance).or_default();
-            *so_far = so_far.max(iou);
+        for Held { instance, visible, masks } in held {
+            let iou = |&(mask, both): &(u16, u32)| both as f32 / (visible + of_mask[&mask] - both) as f32;
+            if let Some(iou) = masks.iter().filter(|(mask, _)| *mask != 0).map(iou).reduce(f32::max) {
+                let so_far = best.entry(instance).or_default();
+                *so_far = so_far.max(iou);
+            }
         }
     }
     best
@@ -130,10 +137,8 @@ const TRIM: f32 = 0.01;
 /// # Errors
 /// [`ParseError`]: an unreadable frame, or cancellation.
 pub fn all_sightings(
-    cloud: &PointCloud,
-    labels: &Labels,
+    labelled: Labelled,
     frames: &[FrameRef],
-    depth_tolerance: f32,
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<Vec<Sighting>, ParseError> {
@@ -143,7 +148,7 @@ pub fn all_sightings(
         |frame| {
             progress.check()?;
             let masks = masks.get(&frame.index).map_or(&[][..], Vec::as_slice);
-            Ok::<_, ParseError>(sightings(cloud, labels, frame, &frame.decode_depth()?, depth_tolerance, masks))
+            Ok::<_, ParseError>(sightings(labelled, frame, &frame.decode_depth()?, masks))
         },
         |i, seen| {
             all.extend(seen);
@@ -221,8 +226,8 @@ mod tests {
     #[test]
     fn an_instance_agrees_with_the_mask_that_shows_just_it() {
         // Six pixels in a row: instance 1 on four, 2 on two. Mask 5 is instance 1 less a pixel; mask 7 the rest.
-        let hits: Vec<VisiblePoint> = (0..6)
-            .map(|i| VisiblePoint { instance: InstanceId(if i < 4 { 1 } else { 2 }), at: (i as f32, 0.0), cell: (i, 0) })
+        let hits: Vec<InstancePixel> = (0..6)
+            .map(|i| InstancePixel { instance: InstanceId(if i < 4 { 1 } else { 2 }), at: (i as f32, 0.0), cell: (i, 0) })
             .collect();
         let image = |ids: [u16; 6]| IdRuns::of(&IdImage { width: 6, height: 1, ids: ids.to_vec() });
         let parts = image([5, 5, 5, 7, 7, 7]);
