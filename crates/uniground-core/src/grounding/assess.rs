@@ -7,7 +7,7 @@
 use super::SceneView;
 use super::direction::Directions;
 use super::fit::{colours_fit, most_plausible, noun_fits, trait_fits};
-use super::query::{Measure, Phrase, Relation, RelationKind, Superlative, With};
+use super::query::{Meaning, Measure, Phrase, Relation, RelationKind, Superlative, With};
 use super::relations::{self, Room};
 use super::solid::Solid;
 use crate::geometry::boxes::OrientedBox;
@@ -30,6 +30,12 @@ const MAX_ANCHORS_OF_A_PAIR: usize = 16;
 const IMPOSSIBLE: f32 = 0.01;
 /// Share of its score that a thing keeps when it lacks what it should carry.
 const NOT_CARRIED: f32 = 0.1;
+/// A phrase whose best fit is below this names nothing that was found in the room.
+const FOUND: f32 = 0.25;
+/// What is left of a score when the other thing of a relation was not found: it may be there all the same.
+const NOT_FOUND: f32 = 0.3;
+/// The same for what a thing should carry or have: small things and parts are seldom found.
+const SMALL_NOT_FOUND: f32 = 0.6;
 
 /// Parts of things ("the stool with the orange seat" speaks of the stool's own colour), each with the nouns known for it; none: any thing.
 const PARTS: &[(&str, &[&str])] = &[
@@ -177,8 +183,11 @@ impl<'a> Assessor<'a> {
     /// For every instance as target: its best anchors and how well the relation holds.
     fn bonds(&self, relation: &Relation, fits: &[f32]) -> Vec<Bond> {
         let most = if relation.kind == RelationKind::Between { MAX_ANCHORS_OF_A_PAIR } else { MAX_ANCHORS };
-        let anchors: Vec<Vec<(usize, f32)>> =
-            relation.anchors.iter().map(|phrase| most_plausible(&self.assess(phrase).total, most)).collect();
+        let assessed: Vec<Assessment> = relation.anchors.iter().map(|phrase| self.assess(phrase)).collect();
+        if let Some(share) = self.unchecked(&relation.anchors, &assessed, NOT_FOUND) {
+            return vec![Bond { score: share, anchor: None }; fits.len()];
+        }
+        let anchors: Vec<Vec<(usize, f32)>> = assessed.iter().map(|found| most_plausible(&found.total, most)).collect();
         let each = |of: &dyn Fn(usize) -> Bond| (0..fits.len()).map(|t| if fits[t] < IMPOSSIBLE { NO_BOND } else { of(t) }).collect();
         let bonds: Vec<Bond> = match (relation.kind, &anchors[..]) {
             (kind, _) if kind.is_of_the_room() => each(&|t| Bond { score: self.geometry(kind, t, &[]), anchor: None }),
@@ -201,6 +210,19 @@ impl<'a> Assessor<'a> {
             true => bonds.into_iter().map(|b| Bond { score: 1.0 - b.score, ..b }).collect(),
             false => bonds,
         }
+    }
+
+    /// What is left of a score where nothing can be measured: all of it when a word is not known, `share` when no such thing was found.
+    fn unchecked(&self, phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32> {
+        let shares = phrases.iter().zip(found).map(|(phrase, found)| {
+            let there = found.nouns.iter().any(|fit| *fit >= FOUND);
+            match phrase.meaning() {
+                _ if there => 2.0,
+                Meaning::Unknown => 1.0,
+                _ => share,
+            }
+        });
+        shares.reduce(f32::min).filter(|share| *share <= 1.0)
     }
 
     fn best_bond(&self, kind: RelationKind, target: usize, anchors: &[(usize, f32)]) -> Bond {
@@ -290,7 +312,14 @@ impl<'a> Assessor<'a> {
             }
             return;
         }
-        let things = most_plausible(&self.assess(phrase).total, MAX_ANCHORS);
+        let found = self.assess(phrase);
+        if let Some(share) = self.unchecked(std::slice::from_ref(phrase), std::slice::from_ref(&found), SMALL_NOT_FOUND) {
+            if !absent {
+                scores.iter_mut().for_each(|score| *score *= share);
+            }
+            return;
+        }
+        let things = most_plausible(&found.total, MAX_ANCHORS);
         let best = things.iter().map(|t| t.1).fold(f32::EPSILON, f32::max);
         for (i, score) in scores.iter_mut().enumerate().filter(|(_, s)| **s >= IMPOSSIBLE) {
             let carried = |&(t, _): &(usize, f32)| {

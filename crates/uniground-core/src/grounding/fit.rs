@@ -5,7 +5,7 @@ use super::place::one_per_place;
 use super::query::{Meaning, Phrase, Trait};
 use super::solid::Solid;
 use crate::geometry::colour::lab_of_srgb;
-use crate::models::attributes::{self, Lexicon, Noun, noun_fit};
+use crate::models::attributes::{self, Kinship, Lexicon, Noun, WordNet, noun_fit};
 use crate::scene::{Instance, Level};
 
 /// A broader word ("seat" for a sofa) fits a little less than the thing's own name.
@@ -92,8 +92,7 @@ fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
 
 /// How well a name that somebody gave fits the noun asked for: the same thing in other words fits fully, a broader word a little less.
 pub(super) fn given_name_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
-    let last = |words: &str| words.split_whitespace().next_back().map(str::to_owned);
-    match (meaning, Lexicon::get().find(given)) {
+    let fit = match (meaning, Lexicon::get().find(given)) {
         (Meaning::Nouns(asked), Some(own)) => match asked.iter().position(|noun| noun.name == own.name) {
             // The very word is meant before its synonyms.
             Some(i) => {
@@ -104,7 +103,26 @@ pub(super) fn given_name_fit(given: &str, phrase: &Phrase, meaning: &Meaning) ->
             None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => BROADER_NAME,
             None => 0.0,
         },
-        _ => f32::from(u8::from(!phrase.head.is_empty() && last(given) == last(&phrase.head))),
+        _ => f32::from(u8::from(last(given) == last(&phrase.head))),
+    };
+    if fit > 0.0 || phrase.head.is_empty() || !phrase.uses.is_empty() { fit } else { kinship_fit(given, &phrase.head) }
+}
+
+fn last(words: &str) -> Option<&str> {
+    words.split_whitespace().next_back()
+}
+
+/// The same for words that the lexicon does not put together.
+fn kinship_fit(given: &str, asked: &str) -> f32 {
+    // Of a compound that the lexicon tells from others, the last word alone says too little: a high chair is no dining chair.
+    if Lexicon::get().knows(asked) && !WordNet::get().names(asked) {
+        return 0.0;
+    }
+    match WordNet::get().kinship(given, asked) {
+        Some(Kinship::Same) => SYNONYM,
+        Some(Kinship::Narrower(steps)) => BROADER_WORD - 0.1 * steps as f32,
+        Some(Kinship::Broader(steps)) => BROADER_NAME - 0.1 * steps as f32,
+        None => 0.0,
     }
 }
 

@@ -3,7 +3,9 @@
 mod closing;
 
 use super::affordances::{self, Affordance};
-use super::pieces::{Piece, address, is_bare_noun, is_filler, pieces, structural};
+use super::observers;
+use super::pieces::{Piece, address, is_bare_noun, is_filler, noun_to_come, pieces, structural};
+use super::rewrites::rewritten;
 use super::tokens::tokens;
 use super::words::{self, Meaning};
 use super::{Look, Measure, ParsedQuery, Phrase, Relation, RelationKind, Superlative};
@@ -51,7 +53,7 @@ struct Frame {
 /// Reads a query. Never fails: what is not understood is listed.
 #[must_use]
 pub fn parse(query: &str) -> ParsedQuery {
-    let tokens = tokens(query);
+    let tokens = observers::rewritten(&rewritten(tokens(query)));
     let tokens = &tokens[address(&tokens)..];
     let affordance = affordances::find(tokens);
     let start = affordance.as_ref().map_or(0, |found| found.taken);
@@ -123,14 +125,12 @@ impl Reader {
             match piece {
                 Piece::Noun(head) => self.noun(head, &pieces[i + 1..]),
                 Piece::Unknown(word) => self.top().unknown.push(word.clone()),
+                Piece::Break if self.describes() && noun_to_come(&pieces[i + 1..]) => {}
                 Piece::Break => self.pause(),
                 Piece::Word(meaning, text) => self.word(*meaning, text, &pieces[i + 1..]),
             }
         }
         self.pause();
-        if let Some(rank) = self.ordinal.take() {
-            self.query.not_understood.push(format!("number {rank}"));
-        }
         self.finish()
     }
 
@@ -185,7 +185,10 @@ impl Reader {
     fn word(&mut self, meaning: Meaning, text: &str, rest: &[Piece]) {
         match meaning {
             Meaning::Relation(kind)
-                if kind.is_comparison() && (is_bare_noun(rest) || matches!(rest.first(), Some(Piece::Word(Meaning::Of, _)))) =>
+                if kind.is_comparison()
+                    && !text.ends_with(" to")
+                    && !text.ends_with(" from")
+                    && (is_bare_noun(rest) || matches!(rest.first(), Some(Piece::Word(Meaning::Of, _)))) =>
             {
                 let rank = self.ordinal.take().unwrap_or(1);
                 self.compared = Some((kind, rank, text.to_owned()));
@@ -236,7 +239,13 @@ impl Reader {
             Meaning::Not => self.negated = true,
             Meaning::And => self.and(),
             // "the closest of the chairs" asks for a chair.
-            Meaning::Of => self.of = self.compared.is_none(),
+            Meaning::Of => {
+                self.of = self.compared.is_none();
+                // "at the head of the bed" is at the bed.
+                if let Some(frame) = self.stack.last_mut() {
+                    frame.unknown.pop_if(|word| words::is_part(word));
+                }
+            }
             Meaning::Same => self.same = true,
             Meaning::As => {
                 if std::mem::take(&mut self.same) {
@@ -265,7 +274,11 @@ impl Reader {
             Meaning::Determiner => {
                 let of = self.of;
                 let frame = self.top();
-                frame.another = !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
+                let another = !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
+                frame.another = another;
+                if another && self.awaits_target() {
+                    self.to_target();
+                }
             }
             Meaning::OfLast | Meaning::Filler => {}
             Meaning::ThereIs => {
@@ -274,6 +287,25 @@ impl Reader {
             }
             Meaning::Pronoun => self.pronoun(),
         }
+    }
+
+    /// Whether the innermost phrase has been described, but not named.
+    fn describes(&self) -> bool {
+        self.stack.last().is_some_and(|Frame { phrase, unknown, .. }| {
+            let described = !(phrase.colours.is_empty() && phrase.traits.is_empty() && unknown.is_empty());
+            described && phrase.head.is_empty() && phrase.uses.is_empty() && phrase.relations.is_empty()
+        })
+    }
+
+    /// Whether nothing has been named yet but what somebody looks at or what the target is next to: "facing the bed the lamp on the left".
+    fn awaits_target(&self) -> bool {
+        let target = self.stack.first().filter(|frame| frame.role == Role::Target);
+        self.stack.len() > 1 && target.is_some_and(|frame| frame.phrase.head.is_empty() && frame.phrase.uses.is_empty())
+    }
+
+    /// The target begins: what was said before it is told of it.
+    fn to_target(&mut self) {
+        self.unwind(1);
     }
 
     fn relation(&mut self, kind: RelationKind, text: &str) {
@@ -297,7 +329,9 @@ impl Reader {
             self.unwind(1);
         }
         // Comparisons single out the target; the rest belongs to the last thing, or to the target, by reading.
-        if self.stack.len() > 1 && (self.attach == Attach::Target || kind.is_comparison() || self.stack[0].phrase.is_empty()) {
+        let of_a_view = self.awaits_target() && self.stack[1..].iter().any(|frame| matches!(frame.role, Role::View(_)));
+        if self.stack.len() > 1 && !of_a_view && (self.attach == Attach::Target || kind.is_comparison() || self.stack[0].phrase.is_empty())
+        {
             self.unwind(1);
         }
         self.relations += 1;
@@ -362,6 +396,10 @@ impl Reader {
             let relation = |kind, rank| Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated: false, rank };
             self.from_here.extend([relation(kind, 1), relation(RelationKind::Closest, rank)]);
             return;
+        }
+        // "facing the wall left monitor"
+        if matches!(text, "left" | "right") && self.awaits_target() {
+            self.to_target();
         }
         let rank = self.ordinal.take().unwrap_or(1);
         let superlative = Some(Superlative { measure, rank });

@@ -5,8 +5,10 @@
 
 mod affordances;
 mod grammar;
+mod observers;
 mod parsers;
 mod pieces;
+mod rewrites;
 mod tokens;
 mod vlm;
 mod words;
@@ -137,7 +139,10 @@ impl Phrase {
             head if words::is_anything(head) => Meaning::Anything,
             head => match (structure_of(head), Lexicon::get().find_all(head)) {
                 (Some(structure), _) => Meaning::Structure(structure),
-                (None, nouns) if nouns.is_empty() => Meaning::Unknown,
+                (None, nouns) if nouns.is_empty() => match Lexicon::get().akin(head) {
+                    akin if akin.is_empty() => Meaning::Unknown,
+                    akin => Meaning::Nouns(akin),
+                },
                 (None, nouns) => Meaning::Nouns(nouns),
             },
         }

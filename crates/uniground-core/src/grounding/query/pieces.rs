@@ -1,5 +1,6 @@
 //! Tokens to pieces: nouns of the lexicon, words of the grammar, and the rest.
 
+use super::Measure;
 use super::tokens::BREAK;
 use super::words::{self, Meaning};
 use crate::models::attributes::Lexicon;
@@ -36,7 +37,14 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
         // Nothing in the tables spans a break.
         let run: Vec<&str> = tokens[at..].iter().map(String::as_str).take_while(|t| *t != BREAK).collect();
         let noun = longest_noun(&run);
-        let word = words::longest(&run);
+        // "the right monitor", "the one on the right": "right" alone before a noun tells a side, elsewhere it says "directly".
+        let word = match (run[0], words::longest(&run)) {
+            ("left" | "right", Some((Meaning::Filler, 1)) | None) if run.len() == 1 || longest_noun(&run[1..]).is_some() => {
+                let side = if run[0] == "left" { Measure::Leftmost } else { Measure::Rightmost };
+                Some((Meaning::Superlative(side), 1))
+            }
+            (_, word) => word,
+        };
         at += match (noun, word) {
             (Some(length), word) if word.is_none_or(|(_, w)| length >= w) => {
                 pieces.push(Piece::Noun(run[..length].join(" ")));
@@ -75,6 +83,12 @@ pub(super) fn is_bare_noun(rest: &[Piece]) -> bool {
     rest.iter()
         .find(|p| !matches!(p, Piece::Word(Meaning::Colour(_) | Meaning::Trait(_), _)))
         .is_some_and(|p| matches!(p, Piece::Noun(_)))
+}
+
+/// Whether more that describes a thing follows, and then its noun: "a square, wooden table".
+pub(super) fn noun_to_come(rest: &[Piece]) -> bool {
+    let describes = |p: &&Piece| matches!(p, Piece::Unknown(_) | Piece::Word(Meaning::Colour(_) | Meaning::Trait(_) | Meaning::And, _));
+    rest.iter().find(|p| !describes(p)).is_some_and(|p| matches!(p, Piece::Noun(_)))
 }
 
 /// Whether a piece carries nothing by itself.

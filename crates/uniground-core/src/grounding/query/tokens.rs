@@ -1,20 +1,31 @@
 //! Text to words, and misspelt words to the words that were meant.
 
-use crate::models::attributes::Lexicon;
+use crate::models::attributes::{Lexicon, WordNet};
 
 /// Stands for a comma or the end of a sentence.
 pub(super) const BREAK: &str = ",";
+
+/// Words whose 's is an "is"; of others it tells an owner.
+const WITH_IS: [&str; 9] = ["it", "that", "there", "he", "she", "what", "where", "here", "who"];
 
 /// Lower-case words; sentence marks become [`BREAK`].
 pub(super) fn tokens(query: &str) -> Vec<String> {
     let mut tokens = Vec::new();
     let mut word = String::new();
     let end = |word: &mut String, tokens: &mut Vec<String>| {
-        let bare = word.trim_matches('\'').trim_end_matches("'s").to_owned();
-        if !bare.is_empty() {
-            tokens.push(bare);
+        let said = std::mem::take(word);
+        let bare = said.trim_matches('\'');
+        match (bare.strip_suffix("'s"), tokens.last_mut()) {
+            // "it 's", as some write.
+            _ if said == "'s" => {
+                if let Some(last) = tokens.last_mut().filter(|last| WITH_IS.contains(&last.as_str())) {
+                    last.push_str("'s");
+                }
+            }
+            (Some(owner), _) if !WITH_IS.contains(&owner) => tokens.push(owner.to_owned()),
+            _ if bare.is_empty() => {}
+            _ => tokens.push(bare.to_owned()),
         }
-        word.clear();
     };
     for c in query.chars().flat_map(char::to_lowercase) {
         match c {
@@ -39,7 +50,7 @@ const TWO_SLIPS_FROM_CHARS: usize = 8;
 /// The noun of the lexicon a misspelt word was meant to be: "refridgerator". `None` when no single one is near.
 pub(super) fn spelling(word: &str) -> Option<&'static str> {
     let length = word.chars().count();
-    if length < MIN_SLIP_CHARS || !word.is_ascii() {
+    if length < MIN_SLIP_CHARS || !word.is_ascii() || WordNet::get().is_english(word) {
         return None;
     }
     let allowed = if length >= TWO_SLIPS_FROM_CHARS { 2 } else { 1 };

@@ -186,6 +186,11 @@ pub(super) fn is_part(head: &str) -> bool {
             | "corner"
             | "head"
             | "foot"
+            | "base"
+            | "rear"
+            | "surface"
+            | "outside"
+            | "border"
     )
 }
 

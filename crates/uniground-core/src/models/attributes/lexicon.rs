@@ -1,5 +1,6 @@
 //! The lexicon of indoor nouns, read from `lexicon.tsv` at first use.
 
+use super::wordnet::{Kinship, WordNet};
 use std::collections::HashMap;
 use std::sync::LazyLock;
 
@@ -12,6 +13,8 @@ pub struct Range {
     pub high: f32,
 }
 
+/// More than any kinship has.
+const MAX_STEPS: u32 = 10;
 /// Sizes below this are all alike: thinner than a scan resolves.
 const RESOLUTION_M: f32 = 0.03;
 
@@ -165,6 +168,21 @@ impl Lexicon {
             .map_or_else(Vec::new, |ids| ids.iter().map(|&i| &self.nouns[i]).collect())
     }
 
+    /// Nouns for a word that is none of the lexicon: those it is a kind of, else those that are kinds of it; the nearest, most common first.
+    #[must_use]
+    pub fn akin(&self, word: &str) -> Vec<&Noun> {
+        let kin = |noun: &Noun| match WordNet::get().kinship(word, &noun.name)? {
+            Kinship::Same => Some(0),
+            Kinship::Narrower(steps) => Some(steps),
+            Kinship::Broader(steps) => Some(MAX_STEPS + steps),
+        };
+        let mut akin: Vec<(u32, &Noun)> = self.nouns.iter().filter_map(|noun| Some((kin(noun)?, noun))).collect();
+        akin.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.prior.total_cmp(&a.1.prior)));
+        let nearest = akin.first().map_or(0, |(steps, _)| *steps);
+        let alike = |steps: u32| steps == nearest || nearest > MAX_STEPS;
+        akin.into_iter().filter(|(steps, _)| alike(*steps)).map(|(_, noun)| noun).collect()
+    }
+
     /// Whether a word, or its singular, leads to a noun.
     #[must_use]
     pub fn knows(&self, word: &str) -> bool {
@@ -265,7 +283,7 @@ fn range(text: &str) -> Option<Range> {
 }
 
 /// The word itself, then what it may be the plural of.
-fn singulars(word: &str) -> Vec<String> {
+pub(super) fn singulars(word: &str) -> Vec<String> {
     let mut forms = vec![word.to_owned()];
     if let Some(stem) = word.strip_suffix("ies") {
         forms.push(format!("{stem}y"));

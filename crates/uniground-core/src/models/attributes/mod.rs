@@ -5,11 +5,13 @@
 //! every answer names this encoder.
 
 mod lexicon;
+mod wordnet;
 
 use crate::geometry::colour::ColourName;
 use crate::scene::{Instance, NameGuess, Structure, Support};
 pub use lexicon::{Lexicon, Noun, Place, Range, Shape};
 use rayon::prelude::*;
+pub use wordnet::{Kinship, WordNet};
 
 /// Name and version, recorded with parses and answers.
 pub const NAME: &str = "attributes-2";

@@ -19,6 +19,21 @@ impl Reader {
         {
             anchor.head.clone_from(&target.head);
         }
+        // "facing the two wardrobes, the one on the right": one of those.
+        if let Some(viewpoint) = self.query.viewpoint.as_ref().filter(|_| matches!(target.head.as_str(), "one" | "ones")) {
+            target.head.clone_from(&viewpoint.anchor.head);
+            target.uses.clone_from(&viewpoint.anchor.uses);
+        }
+        // "counting from the left, the fourth": said after what it counts.
+        if let (Some(rank), Some(superlative)) = (self.ordinal, &mut target.superlative)
+            && superlative.rank == 1
+        {
+            superlative.rank = rank;
+            self.ordinal = None;
+        }
+        if let Some(rank) = self.ordinal.take() {
+            self.query.not_understood.push(format!("number {rank}"));
+        }
         match &self.query.standpoint {
             Some(here) => {
                 let placed = self.from_here.into_iter().map(|r| Relation { anchors: vec![here.clone()], ..r });

@@ -1,0 +1,166 @@
+//! Kinds of things and English words, from `WordNet`'s noun graph: what is a kind of what, and which words are no misspellings.
+//!
+//! `wordnet.tsv` is made by `scripts/wordnet.py`; `wordnet-license.txt` is its licence.
+
+use super::lexicon::singulars;
+use std::collections::HashMap;
+use std::sync::LazyLock;
+
+/// How two words for things are related.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kinship {
+    /// Two words for one thing: "trash can", "dustbin".
+    Same,
+    /// The first is a kind of the second, so many steps up.
+    Narrower(u32),
+    /// The second is a kind of the first, so many steps up.
+    Broader(u32),
+}
+
+/// A kind of things.
+struct Kind {
+    parent: Option<u32>,
+    /// How many kinds it has, itself included.
+    size: u32,
+}
+
+/// The graph.
+pub struct WordNet {
+    kinds: Vec<Kind>,
+    /// The kinds a word may name, the most usual first.
+    of_word: HashMap<&'static str, Vec<u32>>,
+    /// Sorted.
+    english: Vec<&'static str>,
+}
+
+/// A kind with this many kinds below it says nothing of a thing: "furniture" does, "instrumentality" does not.
+const TOO_GENERAL: u32 = 400;
+/// Further up, a word is seldom used for the thing.
+const MOST_STEPS: u32 = 3;
+
+impl WordNet {
+    /// The one graph of the process.
+    #[must_use]
+    pub fn get() -> &'static Self {
+        static WORDNET: LazyLock<WordNet> = LazyLock::new(|| WordNet::read(include_str!("wordnet.tsv")));
+        &WORDNET
+    }
+
+    /// How `a` is related to `b`, by the nearest of their meanings; `None` if neither is a kind of the other. Plurals are understood, and
+    /// what describes a thing is passed over: a "folding step stool" is a step stool.
+    #[must_use]
+    pub fn kinship(&self, a: &str, b: &str) -> Option<Kinship> {
+        let (a, b) = (self.kinds_of(a), self.kinds_of(b));
+        let pairs = || a.iter().flat_map(|&a| b.iter().map(move |&b| (a, b)));
+        if pairs().any(|(a, b)| a == b) {
+            return Some(Kinship::Same);
+        }
+        let narrower = pairs().filter_map(|(a, b)| self.steps(a, b)).min().map(Kinship::Narrower);
+        narrower.or_else(|| pairs().filter_map(|(a, b)| self.steps(b, a)).min().map(Kinship::Broader))
+    }
+
+    /// Whether a name is known as a whole.
+    #[must_use]
+    pub fn names(&self, name: &str) -> bool {
+        singulars(name).iter().any(|word| self.of_word.contains_key(word.as_str()))
+    }
+
+    /// Whether a word is English in some form, so that it is hardly another one misspelt. Short words are not known.
+    #[must_use]
+    pub fn is_english(&self, word: &str) -> bool {
+        let known = |stem: &str| self.english.binary_search(&stem).is_ok();
+        let forms = |suffix: &str, endings: &[&str]| {
+            word.strip_suffix(suffix)
+                .is_some_and(|stem| endings.iter().any(|ending| known(&format!("{stem}{ending}"))) || known(undoubled(stem)))
+        };
+        known(word)
+            || forms("s", &[""])
+            || forms("es", &[""])
+            || forms("ies", &["y"])
+            || forms("ed", &["", "e"])
+            || forms("ing", &["", "e"])
+            || forms("er", &["", "e"])
+            || forms("est", &["", "e"])
+            || forms("ier", &["y"])
+            || forms("iest", &["y"])
+    }
+
+    /// The kinds a word names; of a longer name, those of its last words that are known.
+    fn kinds_of(&self, name: &str) -> &[u32] {
+        let words: Vec<&str> = name.split_whitespace().collect();
+        (0..words.len())
+            .find_map(|start| singulars(&words[start..].join(" ")).iter().find_map(|word| self.of_word.get(word.as_str())))
+            .map_or(&[], Vec::as_slice)
+    }
+
+    /// How many steps `above` is up from `kind`; `None` if it is not, too far or too general.
+    fn steps(&self, kind: u32, above: u32) -> Option<u32> {
+        if self.kinds[above as usize].size > TOO_GENERAL {
+            return None;
+        }
+        let mut at = kind;
+        (1..=MOST_STEPS).find(|_| {
+            self.kinds[at as usize].parent.is_some_and(|parent| {
+                at = parent;
+                at == above
+            })
+        })
+    }
+
+    fn read(text: &'static str) -> Self {
+        let (kinds, english) = text.split_once("\n\n").unwrap_or((text, ""));
+        let mut of_word: HashMap<&'static str, Vec<u32>> = HashMap::new();
+        let mut read: Vec<Kind> = Vec::new();
+        for (line, i) in kinds.lines().zip(0_u32..) {
+            let (parent, words) = line.split_once('\t').unwrap_or((line, ""));
+            read.push(Kind { parent: parent.parse().ok().filter(|p| *p < i), size: 1 });
+            for word in words.split(',').filter(|word| !word.is_empty()) {
+                let (word, usual) = word.strip_prefix('~').map_or((word, true), |word| (word, false));
+                let meanings = of_word.entry(word).or_default();
+                if usual { meanings.insert(0, i) } else { meanings.push(i) }
+            }
+        }
+        // Parents come before their children.
+        for i in (0..read.len()).rev() {
+            if let Some(parent) = read[i].parent {
+                read[parent as usize].size += read[i].size;
+            }
+        }
+        Self { kinds: read, of_word, english: english.split_whitespace().collect() }
+    }
+}
+
+/// "sitt" of "sitting" is "sit".
+fn undoubled(stem: &str) -> &str {
+    match stem.as_bytes() {
+        [.., a, b] if a == b => &stem[..stem.len() - 1],
+        _ => stem,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn words_for_one_thing_and_kinds_of_it_are_known() {
+        let of = |a, b| WordNet::get().kinship(a, b);
+        assert_eq!(of("trash cans", "dustbin"), Some(Kinship::Same));
+        assert_eq!(of("crate", "box"), Some(Kinship::Narrower(1)));
+        assert!(matches!(of("musical instrument", "electric guitar"), Some(Kinship::Broader(_))));
+        assert!(matches!(of("instrument", "acoustic guitar"), Some(Kinship::Broader(_))), "{:?}", of("instrument", "guitar"));
+        for (a, b) in [("fridge", "washing machine"), ("sofa", "table"), ("thing", "chair"), ("artifact", "lamp"), ("xyzzy", "lamp")] {
+            assert_eq!(of(a, b), None, "{a} {b}");
+        }
+    }
+
+    #[test]
+    fn english_is_told_from_slips() {
+        for word in ["tones", "bedside", "lounge", "squiggles", "sitting", "brewing", "carved", "stripier", "wakes"] {
+            assert!(WordNet::get().is_english(word), "{word}");
+        }
+        for word in ["somethng", "refrigeratr", "bookcse", "tabel", "wardorbe"] {
+            assert!(!WordNet::get().is_english(word), "{word}");
+        }
+    }
+}
