@@ -50,6 +50,23 @@ pub struct Alternative {
     pub aabb: Aabb,
 }
 
+/// A thing the question means.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Target {
+    /// Numbered from 1 within the parse the answer comes from.
+    pub id: InstanceId,
+    /// What it is called, without regard to the question.
+    pub name: String,
+    /// Belief that it is meant, `0..=1`.
+    pub confidence: f32,
+    /// Axis-aligned box, stray points left out; metres, world frame (Z up).
+    #[serde(rename = "box")]
+    pub aabb: Aabb,
+    /// Box turned about the vertical to fit it; metres, world frame (Z up).
+    pub oriented_box: OrientedBox,
+}
+
 /// How the question was understood.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -200,6 +217,13 @@ pub struct Answer {
     pub candidates: Option<Vec<Candidate>>,
     /// Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead. Empty for `no_match`.
     pub alternatives: Vec<Alternative>,
+    /// All things the question means, best first: several where it asks for several ("the chairs", "how many mugs"), else the answer's own;
+    /// empty unless grounded.
+    #[serde(default)]
+    pub targets: Vec<Target>,
+    /// How many there are; absent where the question asks for one thing.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub count: Option<u32>,
     /// How the question was understood.
     pub parsed_query: ParsedQuerySummary,
     /// Who found, compared, read and decided.

@@ -1,9 +1,9 @@
 //! The answer: six fields, both boxes, status, and what led there.
 
-use super::query::{Meaning, ParsedQuery, Phrase, Superlative};
+use super::query::{Meaning, ParsedQuery, Phrase, Quantity, Superlative};
 use super::reasoner::Verdict;
 use super::shortlist;
-use super::{Alternative, Candidate, ParsedQuerySummary, Question, SceneView, SixFields, Status, Timings};
+use super::{Alternative, Candidate, ParsedQuerySummary, Question, SceneView, SixFields, Status, Target, Timings};
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::scene::Instance;
 use serde::{Deserialize, Serialize};
@@ -41,6 +41,12 @@ pub struct Grounding {
     pub candidates: Vec<Candidate>,
     /// Other instances the question may mean, best first; for `ambiguous`, the tied ones are among them.
     pub alternatives: Vec<Alternative>,
+    /// All things the question means, best first: several where it asks for several, else the answer's own or none.
+    #[serde(default)]
+    pub targets: Vec<Target>,
+    /// How many there are, where the question asks for several; for `no_match`, 0.
+    #[serde(default)]
+    pub count: Option<u32>,
     /// How the question was read.
     pub parsed_query: ParsedQuerySummary,
     /// What left, right, front and back go by: `paper`, `viewer`, or `observer` when the request has one. Words of the question that tell
@@ -56,7 +62,7 @@ const MAX_ALTERNATIVES: usize = 5;
 const MIN_ALTERNATIVE: f32 = 0.05;
 
 pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQuery, verdict: Verdict, timings_ms: Timings) -> Grounding {
-    let Verdict { status, scores, beliefs, explanation, anchor, relation_used, target_name_matches } = verdict;
+    let Verdict { status, scores, beliefs, several, explanation, anchor, relation_used, target_name_matches } = verdict;
     let candidates = shortlist::rank(scene, &scores, question.top_k);
     let chosen = candidates
         .first()
@@ -65,12 +71,19 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
     let confidence = match (status, candidates.first()) {
         (Status::NoMatch, Some(best)) => 1.0 - best.score,
         (Status::NoMatch, None) => 1.0,
+        (_, Some(best)) if parsed.quantity != Quantity::One => best.score,
         (_, Some(best)) => beliefs[best.id.0 as usize - 1],
         (_, None) => 0.0,
     };
+    let asks_for_several = parsed.quantity != Quantity::One;
+    let targets = match chosen {
+        Some(_) if asks_for_several => several.iter().map(|&i| target(&scene.instances[i], scores[i])).collect(),
+        Some(chosen) => vec![target(chosen, confidence)],
+        None => Vec::new(),
+    };
     let mut rivals: Vec<&Instance> = match status {
         Status::NoMatch => Vec::new(),
-        _ => scene.instances.iter().filter(|i| chosen.is_none_or(|c| c.id != i.id)).collect(),
+        _ => scene.instances.iter().filter(|i| targets.iter().all(|t| t.id != i.id)).collect(),
     };
     let belief = |i: &Instance| beliefs[i.id.0 as usize - 1];
     rivals.retain(|i| belief(i) >= MIN_ALTERNATIVE);
@@ -95,10 +108,18 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
             .take(MAX_ALTERNATIVES)
             .map(|i| Alternative { id: i.id, confidence: belief(i), aabb: i.aabb })
             .collect(),
+        count: asks_for_several.then_some(targets.len() as u32),
+        targets,
         parsed_query: summarise(parsed),
         direction_convention: if question.observer.is_some() { "observer".into() } else { question.convention.name().into() },
         timings_ms,
     }
+}
+
+/// An instance as a target.
+pub(super) fn target(instance: &Instance, confidence: f32) -> Target {
+    let &Instance { id, aabb, oriented_box, .. } = instance;
+    Target { id, name: described(instance), confidence, aabb, oriented_box }
 }
 
 /// "red sofa": dominant colour and best name, whatever the question says.

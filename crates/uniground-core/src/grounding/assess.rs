@@ -7,7 +7,7 @@
 use super::SceneView;
 use super::direction::Directions;
 use super::fit::{colours_fit, most_plausible, noun_fits, trait_fits};
-use super::query::{Meaning, Measure, Phrase, Relation, RelationKind, Superlative, With};
+use super::query::{Meaning, Measure, Phrase, Relation, RelationKind, Superlative, With, zones};
 use super::relations::{self, Room};
 use super::solid::Solid;
 use crate::geometry::boxes::OrientedBox;
@@ -183,6 +183,11 @@ impl<'a> Assessor<'a> {
     /// For every instance as target: its best anchors and how well the relation holds.
     fn bonds(&self, relation: &Relation, fits: &[f32]) -> Vec<Bond> {
         let most = if relation.kind == RelationKind::Between { MAX_ANCHORS_OF_A_PAIR } else { MAX_ANCHORS };
+        if let [zone] = &relation.anchors[..]
+            && let Some(nouns) = zones::made_of(&zone.head)
+        {
+            return self.within(nouns, fits, relation.negated);
+        }
         let assessed: Vec<Assessment> = relation.anchors.iter().map(|phrase| self.assess(phrase)).collect();
         if let Some(share) = self.unchecked(&relation.anchors, &assessed, NOT_FOUND) {
             return vec![Bond { score: share, anchor: None }; fits.len()];
@@ -210,6 +215,30 @@ impl<'a> Assessor<'a> {
             true => bonds.into_iter().map(|b| Bond { score: 1.0 - b.score, ..b }).collect(),
             false => bonds,
         }
+    }
+
+    /// How far each instance lies within the zone that things of these nouns make: near one of them. Where there are none, anything may.
+    fn within(&self, nouns: &[&str], fits: &[f32], negated: bool) -> Vec<Bond> {
+        const REACH_M: f32 = 1.5;
+        let named = |noun: &&str| noun_fits(self.scene, &Phrase { head: (*noun).to_owned(), ..Phrase::default() });
+        let mut made = vec![0.0_f32; fits.len()];
+        for of_noun in nouns.iter().map(named) {
+            made.iter_mut().zip(of_noun).for_each(|(best, fit)| *best = best.max(fit));
+        }
+        let things = most_plausible(&made, MAX_ANCHORS);
+        if things.iter().all(|(_, fit)| *fit < FOUND) {
+            return vec![Bond { score: 1.0, anchor: None }; fits.len()];
+        }
+        let within = |t: usize| {
+            let to = |&(i, fit): &(usize, f32)| fit * relations::reaching(&self.solids[t], &self.solids[i], REACH_M);
+            things.iter().map(to).fold(0.0, f32::max)
+        };
+        (0..fits.len())
+            .map(|t| {
+                let score = if fits[t] < IMPOSSIBLE { 0.0 } else { within(t) };
+                Bond { score: if negated { 1.0 - score } else { score }, anchor: None }
+            })
+            .collect()
     }
 
     /// What is left of a score where nothing can be measured: all of it when a word is not known, `share` when no such thing was found.

@@ -27,7 +27,7 @@ use assess::Assessor;
 use direction::{DirectionConvention, Directions, Observer};
 pub use picture_cache::PictureCache;
 use std::time::{Duration, Instant};
-pub use uniground_types::answer::{Alternative, Candidate, ParsedQuerySummary, SixFields, Status, Timings};
+pub use uniground_types::answer::{Alternative, Candidate, ParsedQuerySummary, SixFields, Status, Target, Timings};
 pub use uniground_types::question::QueryText;
 
 use crate::geometry::boxes::Aabb;

@@ -33,7 +33,11 @@ pub fn score(kind: RelationKind, target: &Solid, anchors: &[&Solid], directions:
             // What stands against a wall has a front of its own, unless somebody's view is asked for.
             match own_front(anchor, room).filter(|_| !directions.of_somebody) {
                 Some(front) => beside(target, anchor, &(sign * front)).max(AGAINST_OWN_FRONT * viewed),
-                None => viewed,
+                None if directions.of_somebody => viewed,
+                // Nobody tells from where: people look from the middle of the room.
+                None => viewed.max(
+                    FROM_THE_MIDDLE * horizontal_between(&room.outline, anchor).map_or(0.0, |out| beside(target, anchor, &(-sign * out))),
+                ),
             }
         }
         (_, [anchor, ..]) => pairwise(kind, target, anchor, directions),
@@ -60,6 +64,8 @@ fn pairwise(kind: RelationKind, target: &Solid, anchor: &Solid, directions: &Dir
     }
 }
 
+/// What a look from the middle of the room counts against the convention.
+const FROM_THE_MIDDLE: f32 = 0.85;
 /// What the convention's front counts where the thing has a front of its own.
 const AGAINST_OWN_FRONT: f32 = 0.5;
 
@@ -91,6 +97,12 @@ pub fn near(a: &Solid, b: &Solid) -> f32 {
     fade(a.gap(b), reach)
 }
 
+/// 1 where footprints touch, one half at a gap of `reach_m`.
+#[must_use]
+pub fn reaching(target: &Solid, anchor: &Solid, reach_m: f32) -> f32 {
+    fade(target.horizontal_gap(anchor), reach_m)
+}
+
 /// Beside the anchor at its own height: chairs around a table. One half at a gap of 0.3 m plus a quarter of the anchor's diagonal.
 #[must_use]
 pub fn around(target: &Solid, anchor: &Solid) -> f32 {
@@ -108,7 +120,12 @@ pub fn beside(target: &Solid, anchor: &Solid, direction: &Vector3<f32>) -> f32 {
 
 /// The horizontal direction from the anchor's centre to the target's.
 fn horizontal(target: &Solid, anchor: &Solid) -> Option<Vector3<f32>> {
-    let between = target.center - anchor.center;
+    horizontal_between(anchor, target)
+}
+
+/// The horizontal direction from one centre to another.
+fn horizontal_between(from: &Solid, to: &Solid) -> Option<Vector3<f32>> {
+    let between = to.center - from.center;
     Vector3::new(between.x, between.y, 0.0).try_normalize(1e-4)
 }
 

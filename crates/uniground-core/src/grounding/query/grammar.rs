@@ -8,7 +8,7 @@ use super::pieces::{Piece, address, is_bare_noun, is_filler, noun_to_come, piece
 use super::rewrites::rewritten;
 use super::tokens::tokens;
 use super::words::{self, Meaning};
-use super::{Look, Measure, ParsedQuery, Phrase, Relation, RelationKind, Superlative};
+use super::{Look, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative};
 
 /// What a relation belongs to when it follows a thing that is not the target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -163,6 +163,9 @@ impl Reader {
         if before.is_empty() || words::is_anything(&before) && !head.is_empty() && frame.phrase.uses.is_empty() {
             // "filing cabinets ... the one": a pronoun never takes a noun's place, a noun takes a pronoun's.
             head.clone_into(&mut frame.phrase.head);
+        } else if of && words::is_part_of_furniture(&before) && matches!(frame.role, Role::Anchor { .. }) {
+            // "over the headboard of the bed" is over the bed.
+            head.clone_into(&mut frame.phrase.head);
         } else if of && !words::is_measure(&before) && !words::is_part(&before) {
             // "the bowl of apples" is a bowl.
             frame.phrase.unchecked.push(head.to_owned());
@@ -278,6 +281,11 @@ impl Reader {
                 frame.another = another;
                 if another && self.awaits_target() {
                     self.to_target();
+                }
+            }
+            Meaning::All => {
+                if self.target.is_none() && self.stack.len() <= 1 && self.top().phrase.head.is_empty() {
+                    self.query.quantity = Quantity::All;
                 }
             }
             Meaning::OfLast | Meaning::Filler => {}

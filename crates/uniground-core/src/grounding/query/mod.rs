@@ -12,6 +12,7 @@ mod rewrites;
 mod tokens;
 mod vlm;
 mod words;
+pub(super) mod zones;
 
 use crate::geometry::colour::ColourName;
 use crate::models::attributes::{Lexicon, Noun};
@@ -30,8 +31,22 @@ pub struct ParsedQuery {
     pub viewpoint: Option<Viewpoint>,
     /// Where that somebody stands, if the words tell: "standing at the door", "from the sofa". What is "nearest" is nearest to it.
     pub standpoint: Option<Phrase>,
+    /// Whether one thing is asked for, or several.
+    pub quantity: Quantity,
     /// Words that could not be used or checked, and nouns the lexicon does not know.
     pub not_understood: Vec<String>,
+}
+
+/// How many things a question asks for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Quantity {
+    /// "the chair"
+    #[default]
+    One,
+    /// "both chairs", "the three chairs": so many.
+    Exactly(u32),
+    /// "the chairs", "all the chairs", "how many chairs": all there are.
+    All,
 }
 
 /// How somebody looks at the room.
@@ -135,6 +150,8 @@ impl Phrase {
     #[must_use]
     pub fn meaning(&self) -> Meaning {
         match self.head.as_str() {
+            // Not a thing but where things are.
+            head if zones::made_of(head).is_some() => Meaning::Unknown,
             head if words::is_anything(head) && !self.uses.is_empty() => Meaning::Nouns(Lexicon::get().of_uses(&self.uses)),
             head if words::is_anything(head) => Meaning::Anything,
             head => match (structure_of(head), Lexicon::get().find_all(head)) {

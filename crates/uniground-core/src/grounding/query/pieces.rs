@@ -1,8 +1,8 @@
 //! Tokens to pieces: nouns of the lexicon, words of the grammar, and the rest.
 
-use super::Measure;
 use super::tokens::BREAK;
 use super::words::{self, Meaning};
+use super::{Measure, zones};
 use crate::models::attributes::Lexicon;
 
 /// One piece of the query.
@@ -68,9 +68,10 @@ fn longest_noun(run: &[&str]) -> Option<usize> {
     let lexicon = Lexicon::get();
     let is_noun = |n: usize| {
         let candidate = run[..n].join(" ");
-        (words::is_anything(&candidate) && n == 1) || structural(&candidate) || lexicon.knows(&candidate)
+        let thing = (words::is_anything(&candidate) && n == 1) || structural(&candidate) || lexicon.knows(&candidate);
+        thing || zones::made_of(&candidate).is_some()
     };
-    (1..=lexicon.longest_words().min(run.len())).rev().find(|&n| is_noun(n))
+    (1..=lexicon.longest_words().max(zones::LONGEST).min(run.len())).rev().find(|&n| is_noun(n))
 }
 
 /// Whether a word names a part of the building.

@@ -1,15 +1,53 @@
 //! Ways of saying, rewritten to the one that the tables know.
 
-use super::tokens::BREAK;
+use super::tokens::{BREAK, spelling_of_small_words};
 use super::words::{self, Meaning};
 
 /// Rewrites a query's words.
 pub(super) fn rewritten(mut tokens: Vec<String>) -> Vec<String> {
+    slips(&mut tokens);
     its(&mut tokens);
+    which_is(&mut tokens);
+    how_many(&mut tokens);
     corners(&mut tokens);
     sides_of_the_room(&mut tokens);
     shades(&mut tokens);
     tokens
+}
+
+/// "somethng", "theres": small words that were misspelt.
+fn slips(tokens: &mut [String]) {
+    const LEFT_OUT: [(&str, &str); 8] = [
+        ("theres", "there's"),
+        ("thats", "that's"),
+        ("youre", "you're"),
+        ("im", "i'm"),
+        ("whats", "what's"),
+        ("wheres", "where's"),
+        ("isnt", "isn't"),
+        ("id", "i'd"),
+    ];
+    for token in tokens {
+        let meant = LEFT_OUT.iter().find(|(slip, _)| slip == token).map(|(_, meant)| *meant);
+        if let Some(meant) = meant.or_else(|| spelling_of_small_words(token)) {
+            meant.clone_into(token);
+        }
+    }
+}
+
+/// "which sofa is the teddy sitting on" is "sofa with the teddy".
+fn which_is(tokens: &mut Vec<String>) {
+    let end = tokens.iter().position(|t| t == BREAK).unwrap_or(tokens.len());
+    let is_verb = |i: &usize| matches!(tokens[*i].as_str(), "is" | "are");
+    let (Some(verb), true) = ((1..end).find(is_verb), tokens.first().is_some_and(|t| matches!(t.as_str(), "which" | "what"))) else {
+        return;
+    };
+    let carries = end > verb + 2 && matches!(tokens[end - 1].as_str(), "on" | "in" | "under" | "at") && verb > 1;
+    if carries {
+        let last = if tokens[end - 2].ends_with("ing") { end - 2 } else { end - 1 };
+        tokens.drain(last..end);
+        "with".clone_into(&mut tokens[verb]);
+    }
 }
 
 /// "its the one by the door" is "it's the one by the door".
@@ -19,6 +57,20 @@ fn its(tokens: &mut [String]) {
         if tokens[i - 1] == "its" && follows {
             "it's".clone_into(&mut tokens[i - 1]);
         }
+    }
+}
+
+/// "how many lamps do we have here" asks for lamps, whoever has them.
+fn how_many(tokens: &mut Vec<String>) {
+    let asks = tokens.windows(2).position(|pair| pair[0] == "how" && pair[1] == "many");
+    let Some(start) = asks else { return };
+    let word = |i: usize| tokens.get(i).map_or("", String::as_str);
+    let whose = (start..tokens.len()).find(|&i| {
+        matches!(word(i), "do" | "does" | "did" | "can" | "have") && matches!(word(i + 1), "i" | "we" | "you" | "they" | "people" | "one")
+    });
+    if let Some(i) = whose {
+        let verbs = usize::from(matches!(word(i + 2), "have" | "see" | "own" | "find" | "count" | "got" | "keep"));
+        tokens.drain(i..i + 2 + verbs);
     }
 }
 
@@ -195,6 +247,9 @@ mod tests {
             ("the one in shades of red", "the one red"),
             ("the cushion in red and white", "the cushion red and white"),
             ("the mug in white cupboards", "the mug in white cupboards"),
+            ("how many lamps do we have in here", "how many lamps in here"),
+            ("which sofa is the teddy sitting on?", "which sofa with the teddy ,"),
+            ("somethng to sit on, theres one", "something to sit on , there's one"),
             ("its the one near the door", "it's the one near the door"),
             ("its shade is orange", "its shade is orange"),
             ("it 's in the corner", "it's in the corner"),

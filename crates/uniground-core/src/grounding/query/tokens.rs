@@ -1,5 +1,6 @@
 //! Text to words, and misspelt words to the words that were meant.
 
+use super::words;
 use crate::models::attributes::{Lexicon, WordNet};
 
 /// Stands for a comma or the end of a sentence.
@@ -62,6 +63,19 @@ pub(super) fn spelling(word: &str) -> Option<&'static str> {
     let mut found: Vec<(usize, &str)> = Lexicon::get().words().filter(|w| w.len() >= MIN_SLIP_CHARS - 1).filter_map(near).collect();
     found.sort_unstable();
     found.first().map(|(_, known)| *known)
+}
+
+/// The word of the grammar a misspelt one was meant to be: "somethng". `None` for English words, and for nouns of the lexicon.
+pub(super) fn spelling_of_small_words(word: &str) -> Option<&'static str> {
+    let length = word.chars().count();
+    if length < MIN_SLIP_CHARS || !word.is_ascii() || WordNet::get().is_english(word) || Lexicon::get().knows(word) || words::is_known(word)
+    {
+        return None;
+    }
+    let near = |known: &&'static str| {
+        known.len() >= MIN_SLIP_CHARS && known.as_bytes()[0] == word.as_bytes()[0] && strsim::damerau_levenshtein(word, known) == 1
+    };
+    words::small().filter(near).min()
 }
 
 /// "sitting" -> "sit", "tells" -> "tell": enough to compare verbs by.

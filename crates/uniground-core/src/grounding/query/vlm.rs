@@ -1,7 +1,7 @@
 //! Reading a query with a chat model: what it is asked, and its JSON as a [`ParsedQuery`].
 
 use super::affordances;
-use super::{Look, Measure, ParsedQuery, Phrase, Relation, RelationKind, Superlative, Trait, Viewpoint, With, words};
+use super::{Look, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative, Trait, Viewpoint, With, words};
 use crate::geometry::colour::ColourName;
 use crate::models::chat::{ChatRequest, Part};
 use serde::Deserialize;
@@ -120,7 +120,14 @@ pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
             Some(Viewpoint { look, anchor: phrase(anchor, 0, &mut parts)? })
         }
     };
-    Ok(ParsedQuery { target, other_reading: None, viewpoint, standpoint: None, not_understood: query.not_understood })
+    Ok(ParsedQuery {
+        target,
+        other_reading: None,
+        viewpoint,
+        standpoint: None,
+        quantity: Quantity::One,
+        not_understood: query.not_understood,
+    })
 }
 
 fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, String> {

@@ -47,6 +47,8 @@ pub(super) enum Meaning {
     ThereIs,
     /// Stands for the thing spoken of: "it".
     Pronoun,
+    /// "how many", "all": each of them is meant.
+    All,
     /// "the", "a": a noun phrase begins.
     Determiner,
     /// Carries nothing.
@@ -109,6 +111,7 @@ impl Meaning {
             "of_last" => Self::OfLast,
             "there_is" => Self::ThereIs,
             "pronoun" => Self::Pronoun,
+            "all" => Self::All,
             "determiner" => Self::Determiner,
             "filler" => Self::Filler,
             _ => return None,
@@ -123,6 +126,20 @@ pub(super) fn longest(words: &[&str]) -> Option<(Meaning, usize)> {
         .iter()
         .find(|(phrase, _)| words.starts_with(phrase))
         .map(|(phrase, meaning)| (*meaning, phrase.len()))
+}
+
+/// Every single word of the tables, and those for anything.
+pub(super) fn small() -> impl Iterator<Item = &'static str> {
+    let single = BY_FIRST_WORD
+        .iter()
+        .filter(|(_, runs)| runs.iter().any(|(words, _)| words.len() == 1))
+        .map(|(word, _)| *word);
+    single.chain(["something", "anything", "somewhere"])
+}
+
+/// Whether some run of words begins with this one.
+pub(super) fn is_known(word: &str) -> bool {
+    BY_FIRST_WORD.contains_key(word)
 }
 
 /// Nouns that may stand for anything.
@@ -164,6 +181,25 @@ pub(super) fn is_measure(head: &str) -> bool {
             | "collection"
             | "kind"
             | "type"
+    )
+}
+
+/// Parts that are seldom found by themselves.
+pub(super) fn is_part_of_furniture(head: &str) -> bool {
+    matches!(
+        head,
+        "headboard"
+            | "footboard"
+            | "mantel"
+            | "mantelpiece"
+            | "armrest"
+            | "backrest"
+            | "seat"
+            | "leg"
+            | "lid"
+            | "handle"
+            | "frame"
+            | "door"
     )
 }
 

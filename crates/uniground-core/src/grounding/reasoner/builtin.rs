@@ -3,12 +3,12 @@
 //! Scores come from [`assess`](crate::grounding::assess); here they become a decision: the best instance, a tie, or nothing.
 
 use super::Verdict;
-use super::explanation::{explain, explain_tie, relation_words, why_nothing_fits};
+use super::explanation::{explain, explain_several, explain_tie, relation_words, why_nothing_fits};
 use crate::grounding::Status;
 use crate::grounding::assess::{Assessment, Assessor};
 use crate::grounding::direction::Directions;
 use crate::grounding::fit::{colours_fit, most_plausible};
-use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Viewpoint};
+use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Quantity, Viewpoint};
 use crate::scene::Instance;
 
 /// Name and version, recorded with answers.
@@ -22,6 +22,8 @@ const MIN_COLOUR: f32 = 0.42;
 const MIN_SCORE: f32 = 0.12;
 /// A rival this close in score is as good.
 const TIE: f32 = 0.97;
+/// Where several are asked for, a thing with this share of the best score is one of them.
+const ALSO_MEANT: f32 = 0.5;
 /// Weight of a score under the second reading of the words; the first has 1.
 const OTHER_READING: f32 = 0.92;
 /// Power of the scores that share the belief: the higher, the more the best one has.
@@ -56,8 +58,9 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, why);
     }
+    let several = several(&scores, &order, parsed.quantity);
     let tied: Vec<usize> = order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
-    let status = if tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
+    let status = if several.is_empty() && tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
     // The reading that won is the one to explain.
     let (phrase, read) = match (&parsed.other_reading, &other) {
         (Some(phrase), Some(other)) if other.total[best] * OTHER_READING > assessment.total[best] => (phrase, other),
@@ -65,12 +68,14 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     };
     let explanation = match status {
         Status::Ambiguous => explain_tie(assessor.scene, &parsed.target, &tied),
+        _ if several.len() > 1 => explain_several(assessor.scene, &parsed.target, &several),
         _ => explain(assessor, phrase, read, best, viewpoint),
     };
     Verdict {
         status,
         beliefs: beliefs(&scores),
         scores,
+        several,
         explanation,
         anchor: read.bonds.iter().find_map(|bond| bond[best].anchor).or(viewpoint.map(|v| instances[v].id)),
         relation_used: relation_words(phrase),
@@ -108,10 +113,22 @@ fn joint_scores(first: &Assessment, other: Option<&Assessment>) -> Vec<f32> {
     }
 }
 
+/// All things that are meant where several are asked for: those whose score comes near the best, best first.
+fn several(scores: &[f32], order: &[usize], quantity: Quantity) -> Vec<usize> {
+    let most = match quantity {
+        Quantity::One => return Vec::new(),
+        Quantity::Exactly(count) => count as usize,
+        Quantity::All => usize::MAX,
+    };
+    let best = order.first().map_or(0.0, |&i| scores[i]);
+    order.iter().copied().take_while(|&i| scores[i] >= ALSO_MEANT * best).take(most).collect()
+}
+
 fn no_match(scores: Vec<f32>, explanation: String) -> Verdict {
     Verdict {
         status: Status::NoMatch,
         beliefs: vec![0.0; scores.len()],
+        several: Vec::new(),
         scores,
         explanation,
         anchor: None,

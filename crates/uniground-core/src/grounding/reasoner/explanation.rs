@@ -60,6 +60,11 @@ pub(super) fn explain(assessor: &Assessor, phrase: &Phrase, read: &Assessment, b
     text
 }
 
+pub(super) fn explain_several(scene: SceneView, target: &Phrase, several: &[usize]) -> String {
+    let ids: Vec<String> = several.iter().map(|&i| scene.instances[i].id.to_string()).collect();
+    format!("{} instances fit \"{}\": {}.", several.len(), target.text(), ids.join(", "))
+}
+
 pub(super) fn explain_tie(scene: SceneView, target: &Phrase, tied: &[usize]) -> String {
     let ids: Vec<String> = tied.iter().take(6).map(|&i| scene.instances[i].id.to_string()).collect();
     format!(

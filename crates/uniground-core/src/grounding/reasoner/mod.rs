@@ -15,6 +15,8 @@ pub struct Verdict {
     pub scores: Vec<f32>,
     /// Share of the belief each instance carries; together at most 1, and 0 for `no_match`.
     pub beliefs: Vec<f32>,
+    /// Indices of all things a question for several means, best first; empty where one is asked for.
+    pub several: Vec<usize>,
     /// Why, in words a person can check against the room.
     pub explanation: String,
     /// The first anchor of its relations, else the viewpoint's; `None` without either, and for `no_match`.

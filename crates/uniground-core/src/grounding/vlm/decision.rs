@@ -3,6 +3,7 @@
 use super::consistency::matches;
 use super::reply::{Choice, Field, Reply};
 use super::{PromptCandidate, PromptContext};
+use crate::grounding::answer::target;
 use crate::grounding::{Alternative, Grounding, Status};
 use crate::models::chat::AskError;
 use crate::scene::{Instance, InstanceId};
@@ -139,6 +140,13 @@ impl Decision {
             Some(instance) => weight + (1.0 - weight) * belief(instance.id),
             None => weight.max(1.0 - grounding.candidates.first().map_or(0.0, |best| best.score)),
         };
+        // Several are told as they were found; the model chose the first of them.
+        let own = chosen.map(|instance| target(instance, grounding.confidence));
+        grounding
+            .targets
+            .retain(|target| grounding.count.is_some() && own.as_ref().is_some_and(|own| own.id != target.id));
+        grounding.targets.splice(0..0, own);
+        grounding.count = grounding.count.map(|_| grounding.targets.len() as u32);
         let rivals = grounding.candidates.iter().filter(|c| chosen.is_some_and(|i| i.id != c.id));
         let mut rivals: Vec<Alternative> = rivals
             .map(|c| Alternative { id: c.id, confidence: (1.0 - weight) * belief(c.id), aabb: c.aabb })

@@ -189,6 +189,12 @@ impl Lexicon {
         singulars(word).iter().any(|w| self.by_word.contains_key(w))
     }
 
+    /// Whether a word is the plural of one that leads to a noun: "chairs", not "curtains" where these are an entry of their own.
+    #[must_use]
+    pub fn is_plural(&self, word: &str) -> bool {
+        !self.by_word.contains_key(word) && self.knows(word)
+    }
+
     /// Every word that leads to a noun, in no order.
     pub fn words(&self) -> impl Iterator<Item = &str> {
         self.by_word.keys().map(String::as_str)

@@ -3,7 +3,8 @@
 use super::{Frame, ITSELF, Reader, Role};
 use crate::grounding::query::tokens::spelling;
 use crate::grounding::query::words;
-use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Relation, RelationKind, Viewpoint, With};
+use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Viewpoint, With};
+use crate::models::attributes::Lexicon;
 
 impl Reader {
     /// The query, once every piece is read.
@@ -49,6 +50,14 @@ impl Reader {
             target
                 .relations
                 .push(Relation { kind: RelationKind::Near, text: "at".into(), anchors, negated: false, rank: 1 });
+        }
+        if self.query.quantity == Quantity::One && target.superlative.is_none() && target.uses.is_empty() {
+            self.query.quantity = match target.count {
+                Some(1) => Quantity::One,
+                Some(count) => Quantity::Exactly(count),
+                None if Lexicon::get().is_plural(&target.head) => Quantity::All,
+                None => Quantity::One,
+            };
         }
         self.query.target = target;
         self.query
