@@ -16,8 +16,10 @@ use crate::models::attributes;
 use crate::scene::{InstanceId, Structure};
 use std::cell::OnceCell;
 
-/// What a contradicted relation leaves of a score: words are ambiguous, geometry is noisy.
+/// What a contradicted relation leaves of a score: geometry is noisy.
 const CONTRADICTED: f32 = 0.05;
+/// The same for relations that depend on who looks, and on what "between" or "in the corner" means to them.
+const LOOSELY_CONTRADICTED: f32 = 0.2;
 /// Each place further from the asked extreme multiplies the score by this.
 const NEXT_BEST: f32 = 0.45;
 /// Power of a fit when things are ranked: what hardly fits the noun hardly takes up a place in the ranking.
@@ -26,6 +28,14 @@ const PRESENCE_POWER: i32 = 4;
 const MAX_ANCHORS: usize = 64;
 /// The same for each anchor of "between", where pairs are looked at.
 const MAX_ANCHORS_OF_A_PAIR: usize = 16;
+/// What a relation is worth that does not hold with the likeliest anchor, by the doubt that this is the thing meant.
+const DOUBT: f32 = 0.8;
+/// Windows, doors, screens and pictures are thinner, metres.
+const THIN_M: f32 = 0.2;
+/// What stands on the floor begins below, metres.
+const OFF_THE_FLOOR_M: f32 = 0.4;
+/// At this gap from what is looked at a thing is half in view, metres.
+const LOOKED_AT_REACH_M: f32 = 1.5;
 /// Instances that fit the thing itself worse than this are not looked at further.
 const IMPOSSIBLE: f32 = 0.01;
 /// Share of its score that a thing keeps when it lacks what it should carry.
@@ -90,13 +100,15 @@ pub struct Assessor<'a> {
     pub scene: SceneView<'a>,
     pub solids: Vec<Solid>,
     pub directions: Directions,
+    /// Index of what somebody looks at: of things to the left and right, those near it are meant.
+    pub looked_at: Option<usize>,
     room: OnceCell<Room>,
 }
 
 impl<'a> Assessor<'a> {
     #[must_use]
     pub fn new(scene: SceneView<'a>, directions: Directions) -> Self {
-        Self { scene, solids: scene.instances.iter().map(Solid::from).collect(), directions, room: OnceCell::new() }
+        Self { scene, solids: scene.instances.iter().map(Solid::from).collect(), directions, looked_at: None, room: OnceCell::new() }
     }
 
     /// The smallest rectangle around everything, and the walls.
@@ -123,10 +135,8 @@ impl<'a> Assessor<'a> {
         let order = order.chain((0..phrase.relations.len()).filter(|&i| comparing(&phrase.relations[i])));
         for i in order {
             bonds[i] = self.bonds(&phrase.relations[i], &total);
-            total
-                .iter_mut()
-                .zip(&bonds[i])
-                .for_each(|(score, bond)| *score *= CONTRADICTED + (1.0 - CONTRADICTED) * bond.score);
+            let least = contradicted(phrase.relations[i].kind);
+            total.iter_mut().zip(&bonds[i]).for_each(|(score, bond)| *score *= least + (1.0 - least) * bond.score);
         }
         if let Some(superlative) = phrase.superlative {
             self.apply_superlative(superlative, &mut total);
@@ -204,8 +214,9 @@ impl<'a> Assessor<'a> {
             // Several anchors ("next to the sofa and the lamp") must all hold.
             (kind, all) => each(&|t| {
                 let mut joint = Bond { score: 1.0, anchor: None };
-                for candidates in all {
-                    let bond = self.best_bond(kind, t, candidates);
+                for (candidates, found) in all.iter().zip(&assessed) {
+                    let surest = found.nouns.iter().copied().fold(0.0, f32::max);
+                    let bond = self.best_bond(kind, t, candidates, surest);
                     joint = Bond { score: joint.score * bond.score, anchor: joint.anchor.or(bond.anchor) };
                 }
                 joint
@@ -254,9 +265,11 @@ impl<'a> Assessor<'a> {
         shares.reduce(f32::min).filter(|share| *share <= 1.0)
     }
 
-    fn best_bond(&self, kind: RelationKind, target: usize, anchors: &[(usize, f32)]) -> Bond {
+    fn best_bond(&self, kind: RelationKind, target: usize, anchors: &[(usize, f32)], surest: f32) -> Bond {
         let bond = |&(a, fit): &(usize, f32)| Bond { score: fit.sqrt() * self.geometry(kind, target, &[a]), anchor: Some(self.id(a)) };
-        anchors.iter().filter(|&&(a, _)| a != target).map(bond).fold(NO_BOND, better)
+        let best = anchors.iter().filter(|&&(a, _)| a != target).map(bond).fold(NO_BOND, better);
+        // What may be no such thing contradicts less.
+        Bond { score: best.score.max(DOUBT * (1.0 - surest)), ..best }
     }
 
     fn between_pair(&self, target: usize, a: &[(usize, f32)], b: &[(usize, f32)]) -> Bond {
@@ -318,6 +331,14 @@ impl<'a> Assessor<'a> {
             Measure::Frontmost => along(i, self.directions.front),
             Measure::Backmost => -along(i, self.directions.front),
         };
+        let sideways = matches!(superlative.measure, Measure::Leftmost | Measure::Rightmost | Measure::Middle);
+        // Who faces a window or a picture has the whole room in view.
+        let floor_z = self.scene.extent.min().z;
+        let stands_free = |i: &usize| self.solids[*i].sides().1 > THIN_M && self.solids[*i].bottom < floor_z + OFF_THE_FLOOR_M;
+        if let Some(looked_at) = self.looked_at.filter(|_| sideways).filter(stands_free) {
+            let here = |i: usize| relations::reaching(&self.solids[i], &self.solids[looked_at], LOOKED_AT_REACH_M);
+            scores.iter_mut().enumerate().for_each(|(i, score)| *score *= 0.5 + 0.5 * here(i));
+        }
         let mut order: Vec<(f32, usize)> = most_plausible(scores, usize::MAX).into_iter().map(|(t, _)| (measure(t), t)).collect();
         order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
         let places = soft_places(&order, scores);
@@ -350,24 +371,46 @@ impl<'a> Assessor<'a> {
         }
         let things = most_plausible(&found.total, MAX_ANCHORS);
         let best = things.iter().map(|t| t.1).fold(f32::EPSILON, f32::max);
-        for (i, score) in scores.iter_mut().enumerate().filter(|(_, s)| **s >= IMPOSSIBLE) {
+        let fit_of = |i: usize| {
             let carried = |&(t, _): &(usize, f32)| {
                 let (thing, own) = (&self.solids[t], &self.solids[i]);
                 let held = relations::on(thing, own).max(relations::inside(thing, own));
                 held.max(0.6 * relations::around(thing, own))
             };
             let others = || things.iter().filter(|(t, _)| *t != i);
-            let fit = match phrase.count {
+            match phrase.count {
                 None => others().map(|t| t.1 * carried(t)).fold(0.0, f32::max),
                 // What stands around counts when it stands close.
                 Some(count) => {
                     let found: f32 = others().map(|t| t.1 / best * ((carried(t) - 0.3) / 0.2).clamp(0.0, 1.0)).sum();
                     best.min(1.0) / (1.0 + ((found - count as f32) / 0.6).powi(2))
                 }
-            };
+            }
+        };
+        let fits: Vec<(usize, f32)> = most_plausible(scores, usize::MAX).into_iter().map(|(i, _)| (i, fit_of(i))).collect();
+        // Where none carries such a thing, it was missed: books on a shelf are seldom found one by one.
+        let missed = !absent && fits.iter().all(|(_, fit)| *fit < FOUND);
+        let mut shares = vec![NOT_CARRIED; scores.len()];
+        for (i, fit) in fits {
             let fit = NOT_CARRIED + (1.0 - NOT_CARRIED) * fit;
-            *score *= if *absent { 1.0 + NOT_CARRIED - fit } else { fit };
+            shares[i] = if *absent { 1.0 + NOT_CARRIED - fit } else { fit.max(if missed { SMALL_NOT_FOUND } else { 0.0 }) };
         }
+        scores.iter_mut().zip(shares).for_each(|(score, share)| *score *= share);
+    }
+}
+
+fn contradicted(kind: RelationKind) -> f32 {
+    match kind {
+        RelationKind::LeftOf
+        | RelationKind::RightOf
+        | RelationKind::InFrontOf
+        | RelationKind::Behind
+        | RelationKind::Between
+        | RelationKind::Opposite
+        | RelationKind::Facing
+        | RelationKind::InCorner
+        | RelationKind::InMiddle => LOOSELY_CONTRADICTED,
+        _ => CONTRADICTED,
     }
 }
 

@@ -15,6 +15,8 @@ pub(super) struct Affordance {
     pub uses: Vec<String>,
     /// The clause's words: "pour wine from" is said of wine bottles before teapots.
     pub words: Vec<String>,
+    /// What describes the thing in between: "something soft and green to sink into".
+    pub described: std::ops::Range<usize>,
     /// How many tokens say so; the rest of the query follows.
     pub taken: usize,
 }
@@ -69,10 +71,21 @@ const OPENERS: &[&str] = &[
     "i wish to",
     "how can i",
     "how do i",
+    "i need something",
+    "is there anything",
+    "is there something",
+    "is there a thing",
+    "do you have anything",
+    "do you have something",
+    "do we have anything",
+    "do we have something",
+    "got anything",
+    "got something",
+    "any idea what",
 ];
 
 /// Words that end the clause and begin the circumstances.
-const CIRCUMSTANCES: [&str; 3] = ["while", "when", "whilst"];
+const CIRCUMSTANCES: [&str; 4] = ["while", "when", "whilst", "without"];
 
 /// Small words: they decide between uses ("write on", "write with") but are no use by themselves.
 const PARTICLES: [&str; 16] = ["on", "in", "at", "by", "from", "with", "to", "for", "into", "out", "away", "up", "off", "the", "a", "of"];
@@ -106,17 +119,22 @@ impl Wording {
         Self { needed: needed.into_iter().map(stem).collect(), particles: particles.into_iter().map(str::to_owned).collect() }
     }
 
-    /// How well the words say it: 2 for each needed word, 1 for each particle that is said; `None` when a needed word is missing.
+    /// How well the words say it: by the needed words and the particles that are said, "drink from" as well as "drink water"; `None` when a needed word is missing.
     fn fit(&self, words: &BTreeSet<&str>, stems: &BTreeSet<String>) -> Option<usize> {
         let said = !self.needed.is_empty() && self.needed.iter().all(|stem| stems.contains(stem));
-        said.then(|| 2 * self.needed.len() + self.particles.iter().filter(|p| words.contains(p.as_str())).count())
+        said.then(|| self.needed.len() + self.particles.iter().filter(|p| words.contains(p.as_str())).count())
     }
 }
 
-/// Finds the clause at the start of a query.
+/// Finds the clause at the start of a query, or after clauses that name nothing: "it's getting dark, is there anything to read by".
 pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
-    let mut start = 0;
+    let pauses = (0..words.len()).filter(|&i| words[i] == BREAK);
+    let names = |words: &[&str]| words.iter().any(|word| Lexicon::get().knows(word));
+    std::iter::once(0).chain(pauses.map(|i| i + 1)).take_while(|&start| !names(&words[..start])).find_map(|start| find_at(&words, start))
+}
+
+fn find_at(words: &[&str], mut start: usize) -> Option<Affordance> {
     let opener = loop {
         let rest = &words[start.min(words.len())..];
         if let Some(length) = OPENERS.iter().filter_map(|opener| begins(rest, opener)).max() {
@@ -133,7 +151,13 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
         }
     };
     let begin = start + opener;
-    let end = (begin..words.len()).find(|&i| ends_clause(&words, i)).unwrap_or(words.len());
+    let purpose = (begin..words.len()).find(|&i| is_purpose(words[i])).filter(|_| is_thing(words[begin - 1])).unwrap_or(begin);
+    let describes = |word: &&str| {
+        matches!(words::longest(&[word]), Some((Meaning::Colour(_) | Meaning::Trait(_) | Meaning::And, _))) || !Lexicon::get().knows(word)
+    };
+    let described = begin..if words[begin..purpose].iter().all(|word| describes(word)) { purpose } else { begin };
+    let begin = described.end;
+    let end = (begin..words.len()).find(|&i| ends_clause(words, i)).unwrap_or(words.len());
     let clause: BTreeSet<&str> = words[begin..end].iter().copied().collect();
     let stems: BTreeSet<String> = clause.iter().map(|word| stem(word)).collect();
     let mut found: Vec<(usize, &str)> = WORDINGS
@@ -144,15 +168,21 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     let best = found.first()?.0;
     let uses = found.into_iter().take_while(|(fit, _)| *fit == best).map(|(_, spoken)| spoken.to_owned()).collect();
     let words = clause.iter().filter(|word| !PARTICLES.contains(word)).map(|word| (*word).to_owned()).collect();
-    Some(Affordance { uses, words, taken: end })
+    Some(Affordance { uses, words, described, taken: end })
 }
 
 /// Whether a thing is followed by what it is for, soon: "something soft to sit on", not "the thing on the table".
 fn names_a_purpose(words: &[&str], opener: usize) -> bool {
-    const SOON: usize = 3;
-    let is_thing = matches!(words[opener - 1], "something" | "anything" | "thing" | "things" | "object" | "item" | "device");
-    let purpose = |word: &&str| matches!(*word, "to" | "that" | "which" | "for" | "i" | "you" | "we" | "used" | "with");
-    !is_thing || words[opener..].iter().take(SOON).any(purpose)
+    const SOON: usize = 5;
+    !is_thing(words[opener - 1]) || words[opener..].iter().take(SOON).any(|word| is_purpose(word))
+}
+
+fn is_thing(word: &str) -> bool {
+    matches!(word, "something" | "anything" | "thing" | "things" | "object" | "item" | "device")
+}
+
+fn is_purpose(word: &str) -> bool {
+    matches!(word, "to" | "that" | "which" | "for" | "i" | "you" | "we" | "used" | "with")
 }
 
 fn begins(words: &[&str], opener: &str) -> Option<usize> {

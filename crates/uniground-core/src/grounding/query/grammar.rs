@@ -56,8 +56,8 @@ pub fn parse(query: &str) -> ParsedQuery {
     let tokens = observers::rewritten(&rewritten(tokens(query)));
     let tokens = &tokens[address(&tokens)..];
     let affordance = affordances::find(tokens);
-    let start = affordance.as_ref().map_or(0, |found| found.taken);
-    let pieces = pieces(&tokens[start..]);
+    let (described, rest) = affordance.as_ref().map_or((&[][..], &tokens[..]), |found| (&tokens[found.described.clone()], &tokens[found.taken..]));
+    let pieces = pieces(&[described, rest].concat());
     let read = |attach: Attach| Reader::new(attach, affordance.as_ref()).run(&pieces);
     let mut nearest = read(Attach::Nearest);
     let target = read(Attach::Target);

@@ -8,6 +8,7 @@ pub(super) fn rewritten(mut tokens: Vec<String>) -> Vec<String> {
     slips(&mut tokens);
     its(&mut tokens);
     which_is(&mut tokens);
+    extremes(&mut tokens);
     how_many(&mut tokens);
     corners(&mut tokens);
     sides_of_the_room(&mut tokens);
@@ -57,6 +58,21 @@ fn its(tokens: &mut [String]) {
         if tokens[i - 1] == "its" && follows {
             "it's".clone_into(&mut tokens[i - 1]);
         }
+    }
+}
+
+/// "at the very left", "all the way to the right": the side says it.
+fn extremes(tokens: &mut Vec<String>) {
+    let is_side = |word: &str| matches!(word, "left" | "right" | "top" | "bottom" | "front" | "back" | "end");
+    let mut i = 0;
+    while i + 1 < tokens.len() {
+        if matches!(tokens[i].as_str(), "very" | "extreme" | "absolute") && is_side(&tokens[i + 1]) {
+            tokens.remove(i);
+        }
+        if tokens[i..].iter().map(String::as_str).take(3).eq(["all", "the", "way"]) {
+            tokens.drain(i..i + 3);
+        }
+        i += 1;
     }
 }
 
@@ -249,6 +265,7 @@ mod tests {
             ("the mug in white cupboards", "the mug in white cupboards"),
             ("how many lamps do we have in here", "how many lamps in here"),
             ("which sofa is the teddy sitting on?", "which sofa with the teddy ,"),
+            ("the photo at the very left", "the photo at the left"),
             ("somethng to sit on, theres one", "something to sit on , there's one"),
             ("its the one near the door", "it's the one near the door"),
             ("its shade is orange", "its shade is orange"),

@@ -14,7 +14,7 @@ use crate::scene::Instance;
 /// Name and version, recorded with answers.
 pub const NAME: &str = "builtin-2";
 
-/// Below this, the best instance does not fit the target phrase.
+/// Below this, the best instance is nothing that the target's noun may mean.
 const MIN_FIT: f32 = 0.25;
 /// Below this, no likely thing has the colour asked for.
 const MIN_COLOUR: f32 = 0.42;
@@ -36,9 +36,10 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         .viewpoint
         .as_ref()
         .and_then(|viewpoint| look(assessor, viewpoint, parsed.standpoint.as_ref()));
+    assessor.looked_at = viewpoint.filter(|_| parsed.viewpoint.as_ref().is_some_and(|v| v.look == Look::Facing));
     let assessment = assessor.assess(&parsed.target);
     let instances = assessor.scene.instances;
-    let best_fit = assessment.own.iter().copied().fold(0.0, f32::max);
+    let best_fit = assessment.nouns.iter().copied().fold(0.0, f32::max);
     if best_fit < MIN_FIT {
         return no_match(assessment.own, why_nothing_fits(parsed));
     }

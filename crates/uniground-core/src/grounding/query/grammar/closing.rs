@@ -130,15 +130,19 @@ impl Reader {
             self.target = Some(more);
             return;
         };
-        let same = words::is_anything(&more.head) || more.head == target.head || same_thing(&more, target);
+        // "over at the table, the chair": where it is was said first.
+        let unnamed = words::is_anything(&target.head) && target.uses.is_empty();
+        let same = unnamed || words::is_anything(&more.head) || more.head == target.head || same_thing(&more, target);
         if same {
+            target.unchecked.append(&mut more.unchecked);
+            target.count = target.count.or(more.count);
             target.colours.append(&mut more.colours);
             target.other_than.append(&mut more.other_than);
             target.traits.append(&mut more.traits);
             target.with.append(&mut more.with);
             target.relations.append(&mut more.relations);
             target.superlative = target.superlative.or(more.superlative);
-            if words::is_anything(&target.head) && target.uses.is_empty() && !words::is_anything(&more.head) {
+            if unnamed && !words::is_anything(&more.head) {
                 target.head = more.head;
             }
             return;
