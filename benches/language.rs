@@ -61,8 +61,14 @@ fn deciding(c: &mut Criterion) {
         let extent = Aabb::around(instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>().iter()).unwrap();
         let scene = SceneView { instances: &instances, extent, appearance: None };
         for query in QUESTIONS {
-            let question =
-                Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };
+            let question = Question {
+                query: query.into(),
+                top_k: 5,
+                convention: DirectionConvention::Paper,
+                observer: None,
+                target_name: None,
+                min_confidence: 0.0,
+            };
             group.bench_function(format!("{count}: {query}"), |b| b.iter(|| ground(scene, black_box(&question))));
         }
     }

@@ -54,8 +54,14 @@ fn pipelines(c: &mut Criterion) {
 
     let mut group = c.benchmark_group("stage 2, sample scene");
     let scene = SceneView { instances: &parsed.instances, extent: parsed.extent, appearance: None };
-    let question =
-        |query: &str| Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };
+    let question = |query: &str| Question {
+        query: query.into(),
+        top_k: 5,
+        convention: DirectionConvention::Paper,
+        observer: None,
+        target_name: None,
+        min_confidence: 0.0,
+    };
     for query in ["the orange stool", "the bookcase between the red sofa and the desk"] {
         let question = question(query);
         group.bench_function(query, |b| b.iter(|| ground(scene, black_box(&question))));

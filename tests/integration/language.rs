@@ -48,7 +48,14 @@ fn instances(annotations: &Annotations) -> Vec<Instance> {
 fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Option<u32>) -> bool {
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
     let view = SceneView { instances, extent: Aabb::around(&corners).unwrap(), appearance: None };
-    let question = Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };
+    let question = Question {
+        query: query.into(),
+        top_k: 5,
+        convention: DirectionConvention::Paper,
+        observer: None,
+        target_name: None,
+        min_confidence: 0.0,
+    };
     let answer = ground(view, &question);
     let chosen = answer.answer.predicted_id.map(|id| known.objects[id.0 as usize - 1].id);
     match target {
@@ -193,8 +200,14 @@ fn words_that_name_nothing_get_no_box() {
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
     let view = SceneView { instances: &instances, extent: Aabb::around(&corners).unwrap(), appearance: None };
     for query in ["?", "the of and", "🪑", "椅子", "'; DROP TABLE scenes; --", "the red chair that is not red", "the"] {
-        let question =
-            Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer: None, target_name: None };
+        let question = Question {
+            query: query.into(),
+            top_k: 5,
+            convention: DirectionConvention::Paper,
+            observer: None,
+            target_name: None,
+            min_confidence: 0.0,
+        };
         let answer = ground(view, &question);
         assert!(answer.status != Status::Grounded && answer.aabb.is_none(), "{query}: {answer:?}");
     }

@@ -34,7 +34,7 @@ async fn upload_parse_ask_and_look() {
     assert!((aabb.size - uniground_core::geometry::Vector3::new(2.0, 0.9, 0.8)).norm() < 0.25, "{aabb:?}");
     let oriented = answer.oriented_box.unwrap();
     assert!(oriented.yaw_rad.abs() < 0.1 && (oriented.center - aabb.center).norm() < 0.1, "{oriented:?}");
-    assert_eq!(answer.models.reasoner, "builtin-2");
+    assert_eq!(answer.models.reasoner, "builtin-3");
 
     assert_eq!(server.client.answer(&answer.id).await.unwrap(), answer);
     let picture = server.client.bytes(&answer.evidence.unwrap()[0]).await.unwrap();

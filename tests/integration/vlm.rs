@@ -82,7 +82,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     let script = Script::default();
     let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
     let plain = builtin(&server, &scene).await;
-    assert_eq!((plain.models.reasoner.as_str(), script.calls()), ("builtin-2", 0));
+    assert_eq!((plain.models.reasoner.as_str(), script.calls()), ("builtin-3", 0));
     let ids: Vec<u32> = plain.candidates.as_ref().unwrap().iter().map(|c| c.id.0).collect();
     // Another than the geometry's choice.
     let (chosen, anchor) = (ids[1], plain.answer.anchor_id.unwrap().0);
@@ -204,7 +204,7 @@ async fn what_does_not_hold_together_is_asked_again() {
     // Three times outside of the set: the geometry's answer, told and degraded; or the only candidate with a fitting name.
     let answer = grounded(vec![six_lines(4711, "", true, 1)]).await;
     assert_eq!((purposes(&answer).len(), script.calls(), answer.degraded), (3, 3, true));
-    assert_eq!((&answer.answer, answer.models.reasoner.as_str()), (&plain.answer, "builtin-2"));
+    assert_eq!((&answer.answer, answer.models.reasoner.as_str()), (&plain.answer, "builtin-3"));
     assert!(corrections(&answer).contains("the model never chose a candidate"), "{}", corrections(&answer));
     let answer = grounded(vec![six_lines(4711, &format!("{second} -> red mug, {first} -> wall"), true, 1)]).await;
     assert_eq!((answer.answer.predicted_id.map(|id| id.0), answer.degraded), (Some(second), true));
@@ -268,7 +268,7 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
         );
 
         let answer = server.client.ground(&scene, &by(ReasonerChoice::Auto)).await.unwrap();
-        assert!(answer.degraded && answer.models.reasoner == "builtin-2" && answer.answer == plain.answer, "{told}");
+        assert!(answer.degraded && answer.models.reasoner == "builtin-3" && answer.answer == plain.answer, "{told}");
         assert!(corrections(&answer).contains(told), "{}", corrections(&answer));
         let call = &answer.trace.unwrap().calls[0];
         assert_eq!((call.attempts as usize, call.error.as_ref().is_some_and(|e| e.contains(told))), (attempts, true), "{told}");

@@ -18,6 +18,23 @@ pub enum Status {
     NoMatch,
 }
 
+/// Why nothing was chosen.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum NoMatchReason {
+    /// Nothing that was found in the room is such a thing, or has the colour asked for.
+    Absent,
+    /// The word for the thing means nothing to the parts that answered: whether it is there is not known.
+    NotRecognised,
+    /// There is such a thing, but not where the question says.
+    Elsewhere,
+    /// What fits best is less likely than the `min_confidence` of the request; `alternatives` has it.
+    NotSureEnough,
+    /// A vision-language model looked and found none.
+    NoneSeen,
+}
+
 /// The paper's six fields.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -125,7 +142,7 @@ pub struct Models {
     /// Empty in answers given before this was recorded.
     #[serde(default)]
     pub parser: String,
-    /// Decided: a vision-language model with the version of its prompt, or the built-in reasoner, like `builtin-2`.
+    /// Decided: a vision-language model with the version of its prompt, or the built-in reasoner, like `builtin-3`.
     pub reasoner: String,
 }
 
@@ -203,6 +220,9 @@ pub struct Answer {
     pub query: String,
     /// Whether one object fits, several or none.
     pub status: Status,
+    /// Why nothing was chosen; absent unless `no_match`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub no_match_reason: Option<NoMatchReason>,
     /// The six fields.
     pub answer: SixFields,
     /// Axis-aligned box of the answer, metres, world frame (Z up); `null` unless grounded.

@@ -156,6 +156,10 @@ pub struct GroundRequest {
     /// Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`.
     #[serde(default)]
     pub allow_builtin: bool,
+    /// Least belief for a `grounded` answer, `0..=1`: below it nothing is chosen, and `no_match_reason` says so. For those who act on an
+    /// answer. Left out: the likeliest is chosen, however unlikely.
+    #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 1))]
+    pub min_confidence: Option<f32>,
     /// Optional parts to send back; all when left out.
     pub include: Option<Vec<Include>>,
     /// Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model is asked.
@@ -223,6 +227,7 @@ impl GroundRequest {
             direction_convention: DirectionConvention::default(),
             observer: None,
             allow_builtin: false,
+            min_confidence: None,
             include: None,
             max_cost_usd: None,
             timeout_s: None,
@@ -238,6 +243,9 @@ impl GroundRequest {
             && !observer.position.iter().chain([&observer.yaw_rad]).all(|v| v.is_finite())
         {
             return Err(FieldError::new("/observer", "position and yaw_rad must be finite"));
+        }
+        if self.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
+            return Err(FieldError::new("/min_confidence", "must be between 0 and 1"));
         }
         if self.max_cost_usd.is_some_and(|cost| !cost.is_finite() || cost < 0.0) {
             return Err(FieldError::new("/max_cost_usd", "must be 0 or more"));

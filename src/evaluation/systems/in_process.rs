@@ -213,6 +213,7 @@ impl OpenScene for LocalScene {
             convention: configuration.convention,
             observer: None,
             target_name: hints.and_then(|hints| hints.target_name.clone()),
+            min_confidence: 0.0,
         };
         let source = self.album.scene(instances);
         let start = Instant::now();

@@ -147,6 +147,7 @@ impl Service {
             convention: request.direction_convention,
             observer: request.observer,
             target_name: None,
+            min_confidence: request.min_confidence.unwrap_or(0.0),
         };
         Ok(Ask { question, parser, without_parser: WithoutModel::BuiltIn, allow_builtin_encoder: request.allow_builtin, review })
     }
@@ -158,6 +159,7 @@ impl Service {
         let Grounding {
             query,
             status,
+            no_match_reason,
             answer,
             aabb,
             oriented_box,
@@ -182,6 +184,7 @@ impl Service {
             parse_version,
             query,
             status,
+            no_match_reason,
             answer,
             aabb,
             oriented_box,

@@ -3,7 +3,7 @@
 use super::query::{Meaning, ParsedQuery, Phrase, Quantity, Superlative};
 use super::reasoner::Verdict;
 use super::shortlist;
-use super::{Alternative, Candidate, ParsedQuerySummary, Question, SceneView, SixFields, Status, Target, Timings};
+use super::{Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Question, SceneView, SixFields, Status, Target, Timings};
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::scene::Instance;
 use serde::{Deserialize, Serialize};
@@ -28,6 +28,9 @@ pub struct Grounding {
     pub query: String,
     /// Only `grounded` has a box.
     pub status: Status,
+    /// Why nothing is chosen; `None` unless `no_match`.
+    #[serde(default)]
+    pub no_match_reason: Option<NoMatchReason>,
     /// The paper's six fields (App. B.1).
     pub answer: SixFields,
     /// Axis-aligned box of the answer; `null` unless grounded.
@@ -62,7 +65,7 @@ const MAX_ALTERNATIVES: usize = 5;
 const MIN_ALTERNATIVE: f32 = 0.05;
 
 pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQuery, verdict: Verdict, timings_ms: Timings) -> Grounding {
-    let Verdict { status, scores, beliefs, several, explanation, anchor, relation_used, target_name_matches } = verdict;
+    let Verdict { status, reason, scores, beliefs, several, explanation, anchor, relation_used, target_name_matches } = verdict;
     let candidates = shortlist::rank(scene, &scores, question.top_k);
     let chosen = candidates
         .first()
@@ -91,6 +94,7 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
     Grounding {
         query: question.query.clone(),
         status,
+        no_match_reason: reason,
         answer: SixFields {
             predicted_id: chosen.map(|i| i.id),
             explanation,
@@ -120,6 +124,23 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
 pub(super) fn target(instance: &Instance, confidence: f32) -> Target {
     let &Instance { id, aabb, oriented_box, .. } = instance;
     Target { id, name: described(instance), confidence, aabb, oriented_box }
+}
+
+impl Grounding {
+    /// The same answer for somebody who acts only on a belief of at least `least`: what is less likely becomes the first alternative.
+    pub(super) fn hold_to(&mut self, least: f32) {
+        if self.status != Status::Grounded || self.confidence >= least {
+            return;
+        }
+        self.status = Status::NoMatch;
+        self.no_match_reason = Some(NoMatchReason::NotSureEnough);
+        let rejected = std::mem::take(&mut self.targets);
+        let rejected = rejected.into_iter().map(|t| Alternative { id: t.id, confidence: t.confidence, aabb: t.aabb });
+        self.alternatives.splice(0..0, rejected);
+        (self.aabb, self.oriented_box, self.count) = (None, None, None);
+        let why = format!("Not sure enough ({:.2} of {least:.2}): {}", self.confidence, self.answer.explanation);
+        self.answer = SixFields { predicted_id: None, target_name_matches: None, explanation: why, ..self.answer.clone() };
+    }
 }
 
 /// "red sofa": dominant colour and best name, whatever the question says.

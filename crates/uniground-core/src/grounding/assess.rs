@@ -7,7 +7,7 @@
 use super::SceneView;
 use super::direction::Directions;
 use super::fit::{colours_fit, most_plausible, noun_fits, trait_fits};
-use super::query::{Meaning, Measure, Phrase, Relation, RelationKind, Superlative, With, zones};
+use super::query::{ME, Meaning, Measure, Phrase, Relation, RelationKind, Superlative, With, zones};
 use super::relations::{self, Room};
 use super::solid::Solid;
 use crate::geometry::boxes::OrientedBox;
@@ -28,8 +28,6 @@ const PRESENCE_POWER: i32 = 4;
 const MAX_ANCHORS: usize = 64;
 /// The same for each anchor of "between", where pairs are looked at.
 const MAX_ANCHORS_OF_A_PAIR: usize = 16;
-/// What a relation is worth that does not hold with the likeliest anchor, by the doubt that this is the thing meant.
-const DOUBT: f32 = 0.8;
 /// Windows, doors, screens and pictures are thinner, metres.
 const THIN_M: f32 = 0.2;
 /// What stands on the floor begins below, metres.
@@ -41,7 +39,9 @@ const IMPOSSIBLE: f32 = 0.01;
 /// Share of its score that a thing keeps when it lacks what it should carry.
 const NOT_CARRIED: f32 = 0.1;
 /// A phrase whose best fit is below this names nothing that was found in the room.
-const FOUND: f32 = 0.25;
+const FOUND: f32 = 0.05;
+/// Below this nothing carries what is asked for.
+const CARRIED: f32 = 0.25;
 /// What is left of a score when the other thing of a relation was not found: it may be there all the same.
 const NOT_FOUND: f32 = 0.3;
 /// The same for what a thing should carry or have: small things and parts are seldom found.
@@ -100,6 +100,8 @@ pub struct Assessor<'a> {
     pub scene: SceneView<'a>,
     pub solids: Vec<Solid>,
     pub directions: Directions,
+    /// Where the one who asks stands.
+    pub observer: Option<Solid>,
     /// Index of what somebody looks at: of things to the left and right, those near it are meant.
     pub looked_at: Option<usize>,
     room: OnceCell<Room>,
@@ -108,7 +110,14 @@ pub struct Assessor<'a> {
 impl<'a> Assessor<'a> {
     #[must_use]
     pub fn new(scene: SceneView<'a>, directions: Directions) -> Self {
-        Self { scene, solids: scene.instances.iter().map(Solid::from).collect(), directions, looked_at: None, room: OnceCell::new() }
+        Self {
+            scene,
+            solids: scene.instances.iter().map(Solid::from).collect(),
+            directions,
+            observer: None,
+            looked_at: None,
+            room: OnceCell::new(),
+        }
     }
 
     /// The smallest rectangle around everything, and the walls.
@@ -136,7 +145,10 @@ impl<'a> Assessor<'a> {
         for i in order {
             bonds[i] = self.bonds(&phrase.relations[i], &total);
             let least = contradicted(phrase.relations[i].kind);
-            total.iter_mut().zip(&bonds[i]).for_each(|(score, bond)| *score *= least + (1.0 - least) * bond.score);
+            total
+                .iter_mut()
+                .zip(&bonds[i])
+                .for_each(|(score, bond)| *score *= least + (1.0 - least) * bond.score);
         }
         if let Some(superlative) = phrase.superlative {
             self.apply_superlative(superlative, &mut total);
@@ -198,6 +210,11 @@ impl<'a> Assessor<'a> {
         {
             return self.within(nouns, fits, relation.negated);
         }
+        if let (Some(observer), [anchor]) = (&self.observer, &relation.anchors[..])
+            && anchor.head == ME
+        {
+            return self.to_observer(relation, observer, fits);
+        }
         let assessed: Vec<Assessment> = relation.anchors.iter().map(|phrase| self.assess(phrase)).collect();
         if let Some(share) = self.unchecked(&relation.anchors, &assessed, NOT_FOUND) {
             return vec![Bond { score: share, anchor: None }; fits.len()];
@@ -214,9 +231,8 @@ impl<'a> Assessor<'a> {
             // Several anchors ("next to the sofa and the lamp") must all hold.
             (kind, all) => each(&|t| {
                 let mut joint = Bond { score: 1.0, anchor: None };
-                for (candidates, found) in all.iter().zip(&assessed) {
-                    let surest = found.nouns.iter().copied().fold(0.0, f32::max);
-                    let bond = self.best_bond(kind, t, candidates, surest);
+                for candidates in all {
+                    let bond = self.best_bond(kind, t, candidates);
                     joint = Bond { score: joint.score * bond.score, anchor: joint.anchor.or(bond.anchor) };
                 }
                 joint
@@ -265,11 +281,9 @@ impl<'a> Assessor<'a> {
         shares.reduce(f32::min).filter(|share| *share <= 1.0)
     }
 
-    fn best_bond(&self, kind: RelationKind, target: usize, anchors: &[(usize, f32)], surest: f32) -> Bond {
+    fn best_bond(&self, kind: RelationKind, target: usize, anchors: &[(usize, f32)]) -> Bond {
         let bond = |&(a, fit): &(usize, f32)| Bond { score: fit.sqrt() * self.geometry(kind, target, &[a]), anchor: Some(self.id(a)) };
-        let best = anchors.iter().filter(|&&(a, _)| a != target).map(bond).fold(NO_BOND, better);
-        // What may be no such thing contradicts less.
-        Bond { score: best.score.max(DOUBT * (1.0 - surest)), ..best }
+        anchors.iter().filter(|&&(a, _)| a != target).map(bond).fold(NO_BOND, better)
     }
 
     fn between_pair(&self, target: usize, a: &[(usize, f32)], b: &[(usize, f32)]) -> Bond {
@@ -293,10 +307,7 @@ impl<'a> Assessor<'a> {
             .filter_map(|c| c.iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0))))
             .map(|c| c.0)
             .collect();
-        let apart = |t: usize, a: usize| {
-            let centers = (self.solids[t].center - self.solids[a].center).norm();
-            self.solids[t].gap(&self.solids[a]) + 0.05 * centers
-        };
+        let apart = |t: usize, a: usize| relations::apart(&self.solids[t], &self.solids[a], self.scene.instances[a].structure.is_some());
         let mut bonds = vec![NO_BOND; fits.len()];
         for &(a, anchor_fit) in first {
             let mut order: Vec<(f32, usize)> = rivals
@@ -305,16 +316,30 @@ impl<'a> Assessor<'a> {
                 .filter(|&t| t != a && !likeliest.contains(&t))
                 .map(|t| (apart(t, a) + likeliest.iter().map(|&b| apart(t, b)).sum::<f32>(), t))
                 .collect();
-            order.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
-            if relation.kind == RelationKind::Farthest {
-                order.reverse();
-            }
-            let places = soft_places(&order, fits);
-            for (t, factor) in nearness_to(&places, (relation.rank.max(1) - 1) as f32) {
+            for (t, factor) in ranked(relation, &mut order, fits) {
                 bonds[t] = better(bonds[t], Bond { score: anchor_fit.sqrt() * factor, anchor: Some(self.id(a)) });
             }
         }
         bonds
+    }
+
+    /// "closest to me", "in front of me".
+    fn to_observer(&self, relation: &Relation, observer: &Solid, fits: &[f32]) -> Vec<Bond> {
+        let mut scores = vec![0.0; fits.len()];
+        if relation.kind.is_comparison() {
+            let apart = |t: usize| relations::apart(&self.solids[t], observer, false);
+            let mut order: Vec<(f32, usize)> = most_plausible(fits, usize::MAX).into_iter().map(|(t, _)| (apart(t), t)).collect();
+            ranked(relation, &mut order, fits).into_iter().for_each(|(t, factor)| scores[t] = factor);
+        } else {
+            let score = |t: usize| relations::to_observer(relation.kind, &self.solids[t], observer, &self.directions, self.room());
+            scores
+                .iter_mut()
+                .enumerate()
+                .filter(|(t, _)| fits[*t] >= IMPOSSIBLE)
+                .for_each(|(t, s)| *s = score(t));
+        }
+        let told = |score: f32| if relation.negated { 1.0 - score } else { score };
+        scores.into_iter().map(|score| Bond { score: told(score), anchor: None }).collect()
     }
 
     fn apply_superlative(&self, superlative: Superlative, scores: &mut [f32]) {
@@ -389,7 +414,7 @@ impl<'a> Assessor<'a> {
         };
         let fits: Vec<(usize, f32)> = most_plausible(scores, usize::MAX).into_iter().map(|(i, _)| (i, fit_of(i))).collect();
         // Where none carries such a thing, it was missed: books on a shelf are seldom found one by one.
-        let missed = !absent && fits.iter().all(|(_, fit)| *fit < FOUND);
+        let missed = !absent && fits.iter().all(|(_, fit)| *fit < CARRIED);
         let mut shares = vec![NOT_CARRIED; scores.len()];
         for (i, fit) in fits {
             let fit = NOT_CARRIED + (1.0 - NOT_CARRIED) * fit;
@@ -423,6 +448,15 @@ fn is_named(instance: &crate::scene::Instance, noun: &str) -> bool {
 
 fn better(best: Bond, other: Bond) -> Bond {
     if other.score > best.score { other } else { best }
+}
+
+/// How well each instance has the asked place of an order by distance.
+fn ranked(relation: &Relation, order: &mut [(f32, usize)], fits: &[f32]) -> Vec<(usize, f32)> {
+    order.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
+    if relation.kind == RelationKind::Farthest {
+        order.reverse();
+    }
+    nearness_to(&soft_places(order, fits), (relation.rank.max(1) - 1) as f32)
 }
 
 /// For each instance of an order: its index, its place from 0, and how surely it is what is asked for, `0..=1`.

@@ -27,7 +27,7 @@ use assess::Assessor;
 use direction::{DirectionConvention, Directions, Observer};
 pub use picture_cache::PictureCache;
 use std::time::{Duration, Instant};
-pub use uniground_types::answer::{Alternative, Candidate, ParsedQuerySummary, SixFields, Status, Target, Timings};
+pub use uniground_types::answer::{Alternative, Candidate, NoMatchReason, ParsedQuerySummary, SixFields, Status, Target, Timings};
 pub use uniground_types::question::QueryText;
 
 use crate::geometry::boxes::Aabb;
@@ -57,13 +57,22 @@ pub struct Question {
     pub observer: Option<Observer>,
     /// The target's class, where it is given with the question: only in an evaluation done the paper's way.
     pub target_name: Option<String>,
+    /// Least belief for an answer, `0..=1`; below it nothing is chosen.
+    pub min_confidence: f32,
 }
 
 impl Question {
     /// A question with the paper's five candidates and directions.
     #[must_use]
     pub fn of(query: impl Into<String>) -> Self {
-        Self { query: query.into(), top_k: 5, convention: DirectionConvention::default(), observer: None, target_name: None }
+        Self {
+            query: query.into(),
+            top_k: 5,
+            convention: DirectionConvention::default(),
+            observer: None,
+            target_name: None,
+            min_confidence: 0.0,
+        }
     }
 }
 
@@ -140,6 +149,12 @@ fn decided<'a>(scene: SceneView<'a>, question: &Question, mut parsed: query::Par
     }
     let directions = question.observer.as_ref().map_or_else(|| question.convention.into(), Directions::of_observer);
     let mut assessor = Assessor::new(scene, directions);
+    if let Some(observer) = &question.observer {
+        assessor.observer = Some(Aabb { center: observer.position.into(), size: crate::geometry::Vector3::zeros() }.into());
+        let by_me = |r: &query::Relation| r.anchors.iter().any(|a| a.head == query::ME);
+        let texts: Vec<String> = parsed.target.relations.iter().filter(|r| by_me(r)).map(|r| r.text.clone()).collect();
+        parsed.not_understood.retain(|word| word != query::ME && !texts.contains(word));
+    }
     let prepared = start.elapsed();
     let verdict = reasoner::builtin::decide(&mut assessor, &parsed);
     let total = start.elapsed();

@@ -92,6 +92,7 @@ pub struct Answered {
 /// Those of the source; [`QuestionError`] where a model was demanded that can not be used.
 pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answered, S::Error> {
     let Ask { question, parser, without_parser, allow_builtin_encoder, review } = ask;
+    let least = question.min_confidence;
     let start = Instant::now();
     let reading = parser.read(&question.query).await;
     let (mut parser_name, mut corrections) = (parser.name(), Vec::new());
@@ -136,6 +137,7 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     if let Some((review, context)) = review.zip(context).filter(|(_, context)| !context.candidates.is_empty()) {
         reviewed(source, &mut answered, review, context, &mut calls, start).await?;
     }
+    answered.grounding.hold_to(least);
     answered.calls = calls;
     Ok(answered)
 }

@@ -45,6 +45,16 @@ pub fn score(kind: RelationKind, target: &Solid, anchors: &[&Solid], directions:
     }
 }
 
+/// Score of `target` standing in a relation to somebody whose directions these are: what is in front of them lies ahead.
+#[must_use]
+pub fn to_observer(kind: RelationKind, target: &Solid, observer: &Solid, directions: &Directions, room: &Room) -> f32 {
+    match kind {
+        RelationKind::InFrontOf | RelationKind::Opposite => beside(target, observer, &-directions.front),
+        RelationKind::Behind => beside(target, observer, &directions.front),
+        _ => score(kind, target, &[observer], directions, room),
+    }
+}
+
 fn pairwise(kind: RelationKind, target: &Solid, anchor: &Solid, directions: &Directions) -> f32 {
     match kind {
         RelationKind::Near | RelationKind::Closest | RelationKind::Between => near(target, anchor),
@@ -90,6 +100,14 @@ fn fade(distance: f32, half: f32) -> f32 {
     1.0 / (1.0 + (distance.max(0.0) / half).powi(2))
 }
 
+/// How far two things are apart as people compare it, metres: between their middles on the ground plan. Boxes of things that reach far,
+/// walls and floors, say little by their middles: there it is the gap that counts.
+#[must_use]
+pub fn apart(target: &Solid, anchor: &Solid, of_the_building: bool) -> f32 {
+    let middles = (target.center - anchor.center).xy().norm();
+    if of_the_building { target.gap(anchor) + 0.05 * middles } else { middles }
+}
+
 /// 1 where surfaces touch, falling with the gap: one half at 0.3 m plus a quarter of the mean footprint diagonal.
 #[must_use]
 pub fn near(a: &Solid, b: &Solid) -> f32 {
@@ -115,7 +133,9 @@ pub fn around(target: &Solid, anchor: &Solid) -> f32 {
 pub fn beside(target: &Solid, anchor: &Solid, direction: &Vector3<f32>) -> f32 {
     let Some(unit) = horizontal(target, anchor) else { return 0.0 };
     let aligned = ((unit.dot(direction) - 0.2) / 0.5).clamp(0.0, 1.0);
-    aligned * (0.4 + 0.6 * near(target, anchor))
+    // What stands on the other or hangs above it is not beside it.
+    let stacked = target.footprint_overlap(anchor).max(anchor.footprint_overlap(target)) * fade(target.vertical_gap(anchor), 0.1).max(0.5);
+    aligned * (1.0 - stacked) * (0.4 + 0.6 * near(target, anchor))
 }
 
 /// The horizontal direction from the anchor's centre to the target's.

@@ -131,7 +131,10 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
     let pauses = (0..words.len()).filter(|&i| words[i] == BREAK);
     let names = |words: &[&str]| words.iter().any(|word| Lexicon::get().knows(word));
-    std::iter::once(0).chain(pauses.map(|i| i + 1)).take_while(|&start| !names(&words[..start])).find_map(|start| find_at(&words, start))
+    std::iter::once(0)
+        .chain(pauses.map(|i| i + 1))
+        .take_while(|&start| !names(&words[..start]))
+        .find_map(|start| find_at(&words, start))
 }
 
 fn find_at(words: &[&str], mut start: usize) -> Option<Affordance> {
@@ -151,7 +154,10 @@ fn find_at(words: &[&str], mut start: usize) -> Option<Affordance> {
         }
     };
     let begin = start + opener;
-    let purpose = (begin..words.len()).find(|&i| is_purpose(words[i])).filter(|_| is_thing(words[begin - 1])).unwrap_or(begin);
+    let purpose = (begin..words.len())
+        .find(|&i| is_purpose(words[i]))
+        .filter(|_| is_thing(words[begin - 1]))
+        .unwrap_or(begin);
     let describes = |word: &&str| {
         matches!(words::longest(&[word]), Some((Meaning::Colour(_) | Meaning::Trait(_) | Meaning::And, _))) || !Lexicon::get().knows(word)
     };

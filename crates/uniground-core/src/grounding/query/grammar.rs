@@ -8,7 +8,7 @@ use super::pieces::{Piece, address, is_bare_noun, is_filler, noun_to_come, piece
 use super::rewrites::rewritten;
 use super::tokens::tokens;
 use super::words::{self, Meaning};
-use super::{Look, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative};
+use super::{Look, ME, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative};
 
 /// What a relation belongs to when it follows a thing that is not the target.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -56,7 +56,9 @@ pub fn parse(query: &str) -> ParsedQuery {
     let tokens = observers::rewritten(&rewritten(tokens(query)));
     let tokens = &tokens[address(&tokens)..];
     let affordance = affordances::find(tokens);
-    let (described, rest) = affordance.as_ref().map_or((&[][..], &tokens[..]), |found| (&tokens[found.described.clone()], &tokens[found.taken..]));
+    let (described, rest) = affordance
+        .as_ref()
+        .map_or((&[][..], &tokens[..]), |found| (&tokens[found.described.clone()], &tokens[found.taken..]));
     let pieces = pieces(&[described, rest].concat());
     let read = |attach: Attach| Reader::new(attach, affordance.as_ref()).run(&pieces);
     let mut nearest = read(Attach::Nearest);
@@ -256,6 +258,9 @@ impl Reader {
                 }
             }
             Meaning::OfTarget => self.unwind(0),
+            Meaning::Filler if matches!(text, "me" | "us" | "myself" | "you") && self.awaits_anchor() => {
+                ME.clone_into(&mut self.top().phrase.head);
+            }
             Meaning::Filler if matches!(text, "to" | "from") && self.compared.is_some() => {
                 if let Some((kind, rank, words)) = self.compared.take() {
                     self.ordinal = Some(rank);
@@ -303,6 +308,10 @@ impl Reader {
             let described = !(phrase.colours.is_empty() && phrase.traits.is_empty() && unknown.is_empty());
             described && phrase.head.is_empty() && phrase.uses.is_empty() && phrase.relations.is_empty()
         })
+    }
+
+    fn awaits_anchor(&self) -> bool {
+        self.stack.last().is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && f.is_empty())
     }
 
     /// Whether nothing has been named yet but what somebody looks at or what the target is next to: "facing the bed the lamp on the left".
@@ -435,8 +444,7 @@ impl Reader {
 
     /// "it" within a relation: what is looked at, or the target of a sentence about something else.
     fn pronoun(&mut self) {
-        let awaits_anchor = self.stack.last().is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && f.is_empty());
-        if !awaits_anchor {
+        if !self.awaits_anchor() {
             return;
         }
         if self.there_is && self.stack.first().is_some_and(|f| f.role == Role::More) {

@@ -37,6 +37,9 @@ pub struct ParsedQuery {
     pub not_understood: Vec<String>,
 }
 
+/// Head of an anchor that is the one who asks: "closest to me".
+pub(super) const ME: &str = "me";
+
 /// How many things a question asks for.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub enum Quantity {

@@ -32,7 +32,7 @@ pub struct BuiltinParser;
 
 impl QueryParser for BuiltinParser {
     fn name(&self) -> String {
-        "builtin-2".into()
+        "builtin-3".into()
     }
 
     fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading> {

@@ -4,15 +4,15 @@
 
 use super::Verdict;
 use super::explanation::{explain, explain_several, explain_tie, relation_words, why_nothing_fits};
-use crate::grounding::Status;
 use crate::grounding::assess::{Assessment, Assessor};
 use crate::grounding::direction::Directions;
 use crate::grounding::fit::{colours_fit, most_plausible};
 use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Quantity, Viewpoint};
+use crate::grounding::{NoMatchReason, Status};
 use crate::scene::Instance;
 
 /// Name and version, recorded with answers.
-pub const NAME: &str = "builtin-2";
+pub const NAME: &str = "builtin-3";
 
 /// Below this, the best instance is nothing that the target's noun may mean.
 const MIN_FIT: f32 = 0.25;
@@ -20,6 +20,8 @@ const MIN_FIT: f32 = 0.25;
 const MIN_COLOUR: f32 = 0.42;
 /// Below this, the best instance contradicts the relations.
 const MIN_SCORE: f32 = 0.12;
+/// Share of the belief that is left where words of the question could not be used: they may have told the thing from its like.
+const NOT_ALL_UNDERSTOOD: f32 = 0.6;
 /// A rival this close in score is as good.
 const TIE: f32 = 0.97;
 /// Where several are asked for, a thing with this share of the best score is one of them.
@@ -41,10 +43,14 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let instances = assessor.scene.instances;
     let best_fit = assessment.nouns.iter().copied().fold(0.0, f32::max);
     if best_fit < MIN_FIT {
-        return no_match(assessment.own, why_nothing_fits(parsed));
+        let reason = match parsed.target.meaning() {
+            Meaning::Unknown => NoMatchReason::NotRecognised,
+            _ => NoMatchReason::Absent,
+        };
+        return no_match(assessment.own, reason, why_nothing_fits(parsed));
     }
     if !colours_agree(&assessment, &parsed.target, instances) {
-        return no_match(assessment.own, why_nothing_fits(parsed));
+        return no_match(assessment.own, NoMatchReason::Absent, why_nothing_fits(parsed));
     }
     let other = parsed.other_reading.as_ref().map(|phrase| assessor.assess(phrase));
     let mut scores = joint_scores(&assessment, other.as_ref());
@@ -57,7 +63,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let best = order[0];
     if scores[best] < MIN_SCORE {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
-        return no_match(scores, why);
+        return no_match(scores, NoMatchReason::Elsewhere, why);
     }
     let several = several(&scores, &order, parsed.quantity);
     let tied: Vec<usize> = order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
@@ -72,9 +78,14 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         _ if several.len() > 1 => explain_several(assessor.scene, &parsed.target, &several),
         _ => explain(assessor, phrase, read, best, viewpoint),
     };
+    let mut beliefs = beliefs(&scores);
+    if !parsed.not_understood.is_empty() {
+        beliefs.iter_mut().for_each(|belief| *belief *= NOT_ALL_UNDERSTOOD);
+    }
     Verdict {
         status,
-        beliefs: beliefs(&scores),
+        reason: None,
+        beliefs,
         scores,
         several,
         explanation,
@@ -125,9 +136,10 @@ fn several(scores: &[f32], order: &[usize], quantity: Quantity) -> Vec<usize> {
     order.iter().copied().take_while(|&i| scores[i] >= ALSO_MEANT * best).take(most).collect()
 }
 
-fn no_match(scores: Vec<f32>, explanation: String) -> Verdict {
+fn no_match(scores: Vec<f32>, reason: NoMatchReason, explanation: String) -> Verdict {
     Verdict {
         status: Status::NoMatch,
+        reason: Some(reason),
         beliefs: vec![0.0; scores.len()],
         several: Vec::new(),
         scores,
@@ -185,7 +197,7 @@ mod tests {
     fn ask_with(query: &str, convention: DirectionConvention, observer: Option<Observer>) -> Grounding {
         let instances = room();
         let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-        let question = Question { query: query.into(), top_k: 5, convention, observer, target_name: None };
+        let question = Question { query: query.into(), top_k: 5, convention, observer, target_name: None, min_confidence: 0.0 };
         ground(SceneView { instances: &instances, extent, appearance: None }, &question)
     }
 
@@ -254,6 +266,82 @@ mod tests {
         assert_eq!(answer.direction_convention, "observer");
         assert_eq!(predicted(answer), Some(5));
         assert_eq!(predicted(ask("facing the table, the mug on the left")), Some(4));
+    }
+
+    #[test]
+    fn several_things_are_several_targets_with_their_count() {
+        for (query, ids) in [
+            ("how many mugs are there?", vec![4, 5]),
+            ("both sofas", vec![1, 2]),
+            ("all the mugs on the table", vec![4, 5]),
+            ("the red mugs", vec![4]),
+        ] {
+            let answer = ask(query);
+            let mut found: Vec<u32> = answer.targets.iter().map(|target| target.id.0).collect();
+            found.sort_unstable();
+            assert_eq!((answer.status, &found, answer.count), (Status::Grounded, &ids, Some(ids.len() as u32)), "{query}");
+            assert_eq!(answer.answer.predicted_id, answer.targets.first().map(|target| target.id));
+        }
+        assert_eq!((ask("how many fridges do we have").status, ask("the fridges").count), (Status::NoMatch, Some(0)));
+        let one = ask("the rug");
+        assert_eq!((one.count, one.targets.len(), one.targets[0].id), (None, 1, InstanceId(6)));
+    }
+
+    #[test]
+    fn the_one_who_asks_has_a_place() {
+        let from = |query: &str, x: f32, yaw_rad: f32| {
+            ask_with(query, DirectionConvention::Paper, Some(Observer { position: [x, 0.5, 1.5], yaw_rad }))
+        };
+        let predicted = |answer: &Grounding| answer.answer.predicted_id.map(|id| id.0);
+        for (query, x, yaw_rad, expected) in [
+            ("the sofa closest to me", -1.0, 0.0, 1),
+            ("the sofa closest to me", 1.0, 0.0, 2),
+            ("the nearest sofa", 1.0, 0.0, 2),
+            ("the sofa in front of me", 0.0, 0.0, 2),
+            ("the sofa behind me", 0.0, 0.0, 1),
+            ("the sofa in front of me", 0.0, std::f32::consts::PI, 1),
+        ] {
+            let answer = from(query, x, yaw_rad);
+            assert_eq!(predicted(&answer), Some(expected), "{query} from {x} along {yaw_rad}: {}", answer.answer.explanation);
+            assert!(answer.parsed_query.not_understood.is_empty(), "{query}: {:?}", answer.parsed_query);
+        }
+        assert_eq!(ask("the sofa closest to me").parsed_query.not_understood, ["me"], "nobody knows where");
+    }
+
+    #[test]
+    fn an_absence_has_a_reason() {
+        for (query, reason) in [
+            ("the fridge", NoMatchReason::Absent),
+            ("the green sofa", NoMatchReason::Absent),
+            ("the quux", NoMatchReason::NotRecognised),
+            ("the sofa on the table", NoMatchReason::Elsewhere),
+        ] {
+            assert_eq!(ask(query).no_match_reason, Some(reason), "{query}");
+        }
+        assert_eq!(ask("the rug").no_match_reason, None);
+    }
+
+    #[test]
+    fn what_can_not_be_checked_denies_nothing_and_lowers_the_belief() {
+        let (plain, with_more) = (ask("the red sofa"), ask("the red sofa with the brass studs by the quux"));
+        assert_eq!(plain.answer.predicted_id, with_more.answer.predicted_id);
+        assert!(
+            with_more.status == Status::Grounded && with_more.confidence < 0.7 * plain.confidence,
+            "{}",
+            with_more.confidence
+        );
+    }
+
+    #[test]
+    fn who_must_be_sure_gets_no_guess() {
+        let mut answer = ask("the red sofa with the brass studs by the quux");
+        let (chosen, confidence) = (answer.answer.predicted_id, answer.confidence);
+        answer.hold_to(confidence);
+        assert_eq!(answer.status, Status::Grounded);
+        answer.hold_to(confidence + 0.01);
+        assert_eq!((answer.status, answer.no_match_reason), (Status::NoMatch, Some(NoMatchReason::NotSureEnough)));
+        assert!(answer.aabb.is_none() && answer.answer.predicted_id.is_none() && answer.targets.is_empty());
+        assert_eq!(answer.alternatives.first().map(|a| a.id), chosen);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 pub mod builtin;
 mod explanation;
 
-use super::Status;
+use super::{NoMatchReason, Status};
 use crate::scene::InstanceId;
 
 /// A decision, before it is made an answer. Vectors are by instance index.
@@ -11,6 +11,8 @@ use crate::scene::InstanceId;
 pub struct Verdict {
     /// `ambiguous` when the best are tied.
     pub status: Status,
+    /// Why nothing is chosen; `None` unless `no_match`.
+    pub reason: Option<NoMatchReason>,
     /// Fit of each instance to the whole question, `0..=1`.
     pub scores: Vec<f32>,
     /// Share of the belief each instance carries; together at most 1, and 0 for `no_match`.

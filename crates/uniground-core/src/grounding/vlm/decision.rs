@@ -4,7 +4,7 @@ use super::consistency::matches;
 use super::reply::{Choice, Field, Reply};
 use super::{PromptCandidate, PromptContext};
 use crate::grounding::answer::target;
-use crate::grounding::{Alternative, Grounding, Status};
+use crate::grounding::{Alternative, Grounding, NoMatchReason, Status};
 use crate::models::chat::AskError;
 use crate::scene::{Instance, InstanceId};
 use std::collections::BTreeMap;
@@ -134,6 +134,7 @@ impl Decision {
         let belief = |id: InstanceId| context.candidates.iter().find(|c| c.id == id).map_or(0.0, |c| c.belief);
         answer.predicted_id = chosen.map(|i| i.id);
         answer.target_name_matches = chosen.and(self.reply.target_name_matches);
+        grounding.no_match_reason = chosen.is_none().then_some(NoMatchReason::NoneSeen);
         grounding.status = if chosen.is_some() { Status::Grounded } else { Status::NoMatch };
         (grounding.aabb, grounding.oriented_box) = (chosen.map(|i| i.aabb), chosen.map(|i| i.oriented_box));
         grounding.confidence = match chosen {

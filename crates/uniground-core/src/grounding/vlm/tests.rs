@@ -33,7 +33,14 @@ pub fn room() -> Vec<Instance> {
 fn asked(query: &str, observer: Option<Observer>) -> (Grounding, PromptContext) {
     let instances = room();
     let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-    let question = Question { query: query.into(), top_k: 5, convention: DirectionConvention::Paper, observer, target_name: None };
+    let question = Question {
+        query: query.into(),
+        top_k: 5,
+        convention: DirectionConvention::Paper,
+        observer,
+        target_name: None,
+        min_confidence: 0.0,
+    };
     let scene = SceneView { instances: &instances, extent, appearance: None };
     ground_with_context(scene, &question, query::parse(query), Duration::ZERO)
 }

@@ -3,7 +3,7 @@
 use super::{Frame, ITSELF, Reader, Role};
 use crate::grounding::query::tokens::spelling;
 use crate::grounding::query::words;
-use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Viewpoint, With};
+use crate::grounding::query::{Look, ME, Meaning, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Viewpoint, With};
 use crate::models::attributes::Lexicon;
 
 impl Reader {
@@ -40,7 +40,12 @@ impl Reader {
                 let placed = self.from_here.into_iter().map(|r| Relation { anchors: vec![here.clone()], ..r });
                 target.relations.extend(placed);
             }
-            None => self.query.not_understood.extend(self.from_here.into_iter().map(|r| r.text)),
+            // To the one who asks, where the request tells where that is.
+            None => {
+                self.query.not_understood.extend(self.from_here.iter().map(|r| r.text.clone()));
+                let me = || vec![Phrase { head: ME.into(), ..Phrase::default() }];
+                target.relations.extend(self.from_here.into_iter().map(|r| Relation { anchors: me(), ..r }));
+            }
         }
         // "facing the desk with two monitors, the monitor on the left": one of those two.
         if let Some(viewpoint) = &self.query.viewpoint
