@@ -1,5 +1,6 @@
 //! The paper's figures over a set of outcomes, with 95 % bootstrap intervals.
 
+use super::reliability::Reliability;
 use super::scoring::{ScoredExpression, TargetOutcome};
 use super::segmentation::IOU_THRESHOLDS;
 use serde::{Deserialize, Serialize};
@@ -56,6 +57,9 @@ pub struct Figures {
     /// Whether any instance covers the target: stage 1's ceiling.
     pub any_instance: [f32; 2],
     pub abstention: Abstention,
+    /// How far confidences can be trusted; `None` where nothing was answered with a box.
+    #[serde(default)]
+    pub reliability: Option<Reliability>,
     /// Answered `ambiguous`.
     pub ambiguous: usize,
     /// Questions that failed; they count as wrong.
@@ -116,6 +120,7 @@ impl Figures {
             shortlist_recall_at: curve(|t| &t.shortlist_ious),
             any_instance: recall(&|t| t.best_instance_iou),
             abstention: Abstention::of(outcomes),
+            reliability: Reliability::of(outcomes),
             ambiguous: outcomes.iter().filter(|o| o.status() == Some(Status::Ambiguous)).count(),
             failed: outcomes.iter().filter(|o| o.reply.is_none()).count(),
             vlm_calls: per_question(answered.clone().map(|r| u64::from(r.usage.vlm_calls)).sum()),

@@ -12,6 +12,7 @@ pub mod ladder;
 pub mod measures;
 pub mod pictures;
 pub mod records;
+pub mod reliability;
 pub mod reply;
 pub mod report;
 pub mod run;

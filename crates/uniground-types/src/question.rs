@@ -151,7 +151,7 @@ pub struct GroundRequest {
     /// What left, right, front and back mean; an `observer` comes before it.
     #[serde(default)]
     pub direction_convention: DirectionConvention,
-    /// Left, right, front and back as seen by this observer.
+    /// Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me".
     pub observer: Option<Observer>,
     /// Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`.
     #[serde(default)]

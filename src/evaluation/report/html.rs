@@ -91,6 +91,9 @@ fn section(cell: &CellReport, folder: &Utf8Path, embedded: usize) -> String {
             oriented.accuracy[1] * 100.0
         );
     }
+    if let Some(reliability) = &cell.figures.reliability {
+        let _ = write!(html, "<p>Confidence: {reliability}</p>");
+    }
     html.push_str(&charts::histogram("Targets by IoU of the answer", "IoU", &cell.figures.iou_histogram));
     let curve = |name: &str, recall: &[[f32; 2]], i: usize| Line {
         name: name.to_owned(),

@@ -86,6 +86,9 @@ fn splits_table(cell: &CellReport) -> String {
             oriented.targets, oriented.mean_iou, oriented.accuracy[0], oriented.accuracy[1]
         );
     }
+    if let Some(reliability) = &cell.figures.reliability {
+        let _ = writeln!(table, "\nConfidence: {reliability}");
+    }
     table
 }
 

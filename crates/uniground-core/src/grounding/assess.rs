@@ -216,7 +216,7 @@ impl<'a> Assessor<'a> {
             return self.to_observer(relation, observer, fits);
         }
         let assessed: Vec<Assessment> = relation.anchors.iter().map(|phrase| self.assess(phrase)).collect();
-        if let Some(share) = self.unchecked(&relation.anchors, &assessed, NOT_FOUND) {
+        if let Some(share) = unchecked(&relation.anchors, &assessed, NOT_FOUND) {
             return vec![Bond { score: share, anchor: None }; fits.len()];
         }
         let anchors: Vec<Vec<(usize, f32)>> = assessed.iter().map(|found| most_plausible(&found.total, most)).collect();
@@ -266,19 +266,6 @@ impl<'a> Assessor<'a> {
                 Bond { score: if negated { 1.0 - score } else { score }, anchor: None }
             })
             .collect()
-    }
-
-    /// What is left of a score where nothing can be measured: all of it when a word is not known, `share` when no such thing was found.
-    fn unchecked(&self, phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32> {
-        let shares = phrases.iter().zip(found).map(|(phrase, found)| {
-            let there = found.nouns.iter().any(|fit| *fit >= FOUND);
-            match phrase.meaning() {
-                _ if there => 2.0,
-                Meaning::Unknown => 1.0,
-                _ => share,
-            }
-        });
-        shares.reduce(f32::min).filter(|share| *share <= 1.0)
     }
 
     fn best_bond(&self, kind: RelationKind, target: usize, anchors: &[(usize, f32)]) -> Bond {
@@ -388,7 +375,7 @@ impl<'a> Assessor<'a> {
             return;
         }
         let found = self.assess(phrase);
-        if let Some(share) = self.unchecked(std::slice::from_ref(phrase), std::slice::from_ref(&found), SMALL_NOT_FOUND) {
+        if let Some(share) = unchecked(std::slice::from_ref(phrase), std::slice::from_ref(&found), SMALL_NOT_FOUND) {
             if !absent {
                 scores.iter_mut().for_each(|score| *score *= share);
             }
@@ -422,6 +409,19 @@ impl<'a> Assessor<'a> {
         }
         scores.iter_mut().zip(shares).for_each(|(score, share)| *score *= share);
     }
+}
+
+/// What is left of a score where nothing can be measured: all of it when a word is not known, `share` when no such thing was found.
+fn unchecked(phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32> {
+    let shares = phrases.iter().zip(found).map(|(phrase, found)| {
+        let there = found.nouns.iter().any(|fit| *fit >= FOUND);
+        match phrase.meaning() {
+            _ if there => 2.0,
+            Meaning::Unknown => 1.0,
+            _ => share,
+        }
+    });
+    shares.reduce(f32::min).filter(|share| *share <= 1.0)
 }
 
 fn contradicted(kind: RelationKind) -> f32 {

@@ -53,7 +53,7 @@ pub struct Question {
     pub top_k: usize,
     /// What left, right, front and back mean, unless there is an observer or the words tell ("facing the desk").
     pub convention: DirectionConvention,
-    /// Whose left, right, front and back are meant; overrides `convention`.
+    /// Whose left, right, front and back are meant, and who "me" is; overrides `convention`.
     pub observer: Option<Observer>,
     /// The target's class, where it is given with the question: only in an evaluation done the paper's way.
     pub target_name: Option<String>,

@@ -161,7 +161,7 @@ fn find_at(words: &[&str], mut start: usize) -> Option<Affordance> {
     let describes = |word: &&str| {
         matches!(words::longest(&[word]), Some((Meaning::Colour(_) | Meaning::Trait(_) | Meaning::And, _))) || !Lexicon::get().knows(word)
     };
-    let described = begin..if words[begin..purpose].iter().all(|word| describes(word)) { purpose } else { begin };
+    let described = begin..if words[begin..purpose].iter().all(describes) { purpose } else { begin };
     let begin = described.end;
     let end = (begin..words.len()).find(|&i| ends_clause(words, i)).unwrap_or(words.len());
     let clause: BTreeSet<&str> = words[begin..end].iter().copied().collect();

@@ -58,7 +58,7 @@ pub fn parse(query: &str) -> ParsedQuery {
     let affordance = affordances::find(tokens);
     let (described, rest) = affordance
         .as_ref()
-        .map_or((&[][..], &tokens[..]), |found| (&tokens[found.described.clone()], &tokens[found.taken..]));
+        .map_or((&[][..], tokens), |found| (&tokens[found.described.clone()], &tokens[found.taken..]));
     let pieces = pieces(&[described, rest].concat());
     let read = |attach: Attach| Reader::new(attach, affordance.as_ref()).run(&pieces);
     let mut nearest = read(Attach::Nearest);
@@ -258,34 +258,13 @@ impl Reader {
                 }
             }
             Meaning::OfTarget => self.unwind(0),
-            Meaning::Filler if matches!(text, "me" | "us" | "myself" | "you") && self.awaits_anchor() => {
-                ME.clone_into(&mut self.top().phrase.head);
-            }
-            Meaning::Filler if matches!(text, "to" | "from") && self.compared.is_some() => {
-                if let Some((kind, rank, words)) = self.compared.take() {
-                    self.ordinal = Some(rank);
-                    self.relation(kind, &format!("{words} {text}"));
-                }
-            }
-            // "when you look at the tv from the sofa"
-            Meaning::Filler if text == "from" && self.stack.last().is_some_and(|f| matches!(f.role, Role::View(Look::Facing))) => {
-                let keep = usize::from(self.stack.first().is_some_and(|f| !matches!(f.role, Role::View(_)) && !f.phrase.is_empty()));
-                self.unwind(keep);
-                self.push(Role::View(Look::From));
-            }
-            // "fetch the cup from the shelf"
-            Meaning::Filler
-                if text == "from" && self.stack.last().is_some_and(|f| !f.phrase.head.is_empty() && f.phrase.uses.is_empty()) =>
-            {
-                self.relation(RelationKind::Near, text);
-            }
             Meaning::Determiner => {
                 let of = self.of;
                 let frame = self.top();
                 let another = !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
                 frame.another = another;
                 if another && self.awaits_target() {
-                    self.to_target();
+                    self.unwind(1);
                 }
             }
             Meaning::All => {
@@ -293,7 +272,8 @@ impl Reader {
                     self.query.quantity = Quantity::All;
                 }
             }
-            Meaning::OfLast | Meaning::Filler => {}
+            Meaning::Filler => self.filler(text),
+            Meaning::OfLast => {}
             Meaning::ThereIs => {
                 self.unwind(0);
                 self.there_is = self.target.is_some();
@@ -310,6 +290,30 @@ impl Reader {
         })
     }
 
+    /// Words that carry something in some places only.
+    fn filler(&mut self, text: &str) {
+        match text {
+            "me" | "us" | "myself" | "you" if self.awaits_anchor() => ME.clone_into(&mut self.top().phrase.head),
+            "to" | "from" if self.compared.is_some() => {
+                if let Some((kind, rank, words)) = self.compared.take() {
+                    self.ordinal = Some(rank);
+                    self.relation(kind, &format!("{words} {text}"));
+                }
+            }
+            // "when you look at the tv from the sofa"
+            "from" if self.stack.last().is_some_and(|f| matches!(f.role, Role::View(Look::Facing))) => {
+                let keep = usize::from(self.stack.first().is_some_and(|f| !matches!(f.role, Role::View(_)) && !f.phrase.is_empty()));
+                self.unwind(keep);
+                self.push(Role::View(Look::From));
+            }
+            // "fetch the cup from the shelf"
+            "from" if self.stack.last().is_some_and(|f| !f.phrase.head.is_empty() && f.phrase.uses.is_empty()) => {
+                self.relation(RelationKind::Near, text);
+            }
+            _ => {}
+        }
+    }
+
     fn awaits_anchor(&self) -> bool {
         self.stack.last().is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && f.is_empty())
     }
@@ -318,11 +322,6 @@ impl Reader {
     fn awaits_target(&self) -> bool {
         let target = self.stack.first().filter(|frame| frame.role == Role::Target);
         self.stack.len() > 1 && target.is_some_and(|frame| frame.phrase.head.is_empty() && frame.phrase.uses.is_empty())
-    }
-
-    /// The target begins: what was said before it is told of it.
-    fn to_target(&mut self) {
-        self.unwind(1);
     }
 
     fn relation(&mut self, kind: RelationKind, text: &str) {
@@ -416,7 +415,7 @@ impl Reader {
         }
         // "facing the wall left monitor"
         if matches!(text, "left" | "right") && self.awaits_target() {
-            self.to_target();
+            self.unwind(1);
         }
         let rank = self.ordinal.take().unwrap_or(1);
         let superlative = Some(Superlative { measure, rank });

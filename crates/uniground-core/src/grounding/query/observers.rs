@@ -53,17 +53,14 @@ pub(super) fn rewritten(tokens: &[String]) -> Vec<String> {
     let mut i = 0;
     while i < tokens.len() {
         let starts = out.last().is_none_or(|last| last == BREAK);
-        match clause(&tokens[i..], starts, somebody) {
-            Some((said, length)) => {
-                out.extend(said.iter().map(|word| (*word).to_owned()));
-                i += length;
-                somebody = true;
-            }
-            None => {
-                somebody &= tokens[i] != BREAK;
-                out.push(tokens[i].clone());
-                i += 1;
-            }
+        if let Some((said, length)) = clause(&tokens[i..], starts, somebody) {
+            out.extend(said.iter().map(|word| (*word).to_owned()));
+            i += length;
+            somebody = true;
+        } else {
+            somebody &= tokens[i] != BREAK;
+            out.push(tokens[i].clone());
+            i += 1;
         }
     }
     out
@@ -97,7 +94,7 @@ fn clause(tokens: &[String], starts: bool, somebody: bool) -> Option<(&'static [
         _ if subject && be && (opened || starts) => return at(tokens, i).filter(|_| word(i) != "to"),
         _ => return None,
     };
-    let told = opened && subject || starts && (subject && be || !subject) || goes_on;
+    let told = goes_on || if subject { opened || starts && be } else { starts };
     // "the chair facing the window", "find me": only of somebody.
     if !told || opened && !subject && !word(i).ends_with("ing") {
         return None;

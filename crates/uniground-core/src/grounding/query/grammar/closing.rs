@@ -35,18 +35,14 @@ impl Reader {
         if let Some(rank) = self.ordinal.take() {
             self.query.not_understood.push(format!("number {rank}"));
         }
-        match &self.query.standpoint {
-            Some(here) => {
-                let placed = self.from_here.into_iter().map(|r| Relation { anchors: vec![here.clone()], ..r });
-                target.relations.extend(placed);
-            }
-            // To the one who asks, where the request tells where that is.
-            None => {
-                self.query.not_understood.extend(self.from_here.iter().map(|r| r.text.clone()));
-                let me = || vec![Phrase { head: ME.into(), ..Phrase::default() }];
-                target.relations.extend(self.from_here.into_iter().map(|r| Relation { anchors: me(), ..r }));
-            }
+        // To where somebody stands, else to the one who asks: the request may tell where that is.
+        if self.query.standpoint.is_none() {
+            self.query.not_understood.extend(self.from_here.iter().map(|r| r.text.clone()));
         }
+        let here = self.query.standpoint.clone().unwrap_or_else(|| Phrase { head: ME.into(), ..Phrase::default() });
+        target
+            .relations
+            .extend(self.from_here.into_iter().map(|r| Relation { anchors: vec![here.clone()], ..r }));
         // "facing the desk with two monitors, the monitor on the left": one of those two.
         if let Some(viewpoint) = &self.query.viewpoint
             && viewpoint.anchor.with.iter().any(|with| same_thing(&with.phrase, &target))
