@@ -425,18 +425,7 @@ fn unchecked(phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32
 }
 
 fn contradicted(kind: RelationKind) -> f32 {
-    match kind {
-        RelationKind::LeftOf
-        | RelationKind::RightOf
-        | RelationKind::InFrontOf
-        | RelationKind::Behind
-        | RelationKind::Between
-        | RelationKind::Opposite
-        | RelationKind::Facing
-        | RelationKind::InCorner
-        | RelationKind::InMiddle => LOOSELY_CONTRADICTED,
-        _ => CONTRADICTED,
-    }
+    if kind.depends_on_who_looks() { LOOSELY_CONTRADICTED } else { CONTRADICTED }
 }
 
 fn is_named(instance: &crate::scene::Instance, noun: &str) -> bool {

@@ -387,6 +387,23 @@ impl RelationKind {
         matches!(self, Self::AgainstWall | Self::InCorner | Self::InMiddle)
     }
 
+    /// Whether it depends on who looks from where, or on what they call "between" and a corner, and not on boxes alone.
+    #[must_use]
+    pub fn depends_on_who_looks(self) -> bool {
+        matches!(
+            self,
+            Self::LeftOf
+                | Self::RightOf
+                | Self::InFrontOf
+                | Self::Behind
+                | Self::Between
+                | Self::Opposite
+                | Self::Facing
+                | Self::InCorner
+                | Self::InMiddle
+        )
+    }
+
     /// The relation the anchor stands in to the thing: "there is a lamp on it" says that it carries a lamp.
     #[must_use]
     pub fn inverse(self) -> Self {

@@ -22,6 +22,8 @@ const MIN_COLOUR: f32 = 0.42;
 const MIN_SCORE: f32 = 0.12;
 /// Share of the belief that is left where words of the question could not be used: they may have told the thing from its like.
 const NOT_ALL_UNDERSTOOD: f32 = 0.6;
+/// A measured relation that holds less than this does not hold.
+const PLAINLY_AGAINST: f32 = 0.15;
 /// A rival this close in score is as good.
 const TIE: f32 = 0.97;
 /// Where several are asked for, a thing with this share of the best score is one of them.
@@ -61,7 +63,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let mut order: Vec<usize> = (0..scores.len()).collect();
     order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
     let best = order[0];
-    if scores[best] < MIN_SCORE {
+    if scores[best] < MIN_SCORE && contradicted(&parsed.target, &assessment, best) {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
@@ -123,6 +125,17 @@ fn joint_scores(first: &Assessment, other: Option<&Assessment>) -> Vec<f32> {
         None => first.total.clone(),
         Some(other) => first.total.iter().zip(&other.total).map(|(a, b)| a.max(OTHER_READING * b)).collect(),
     }
+}
+
+/// Whether what can be measured for sure speaks against an instance: where it rests and what it touches, not what depends on who looks.
+fn contradicted(target: &Phrase, read: &Assessment, instance: usize) -> bool {
+    let measured = target
+        .relations
+        .iter()
+        .zip(&read.bonds)
+        .filter(|(relation, _)| !relation.kind.depends_on_who_looks());
+    let against = measured.map(|(_, bonds)| bonds[instance].score).any(|score| score < PLAINLY_AGAINST);
+    against || read.own[instance] < MIN_SCORE * read.nouns[instance]
 }
 
 /// All things that are meant where several are asked for: those whose score comes near the best, best first.
