@@ -73,10 +73,11 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
         assert_eq!(String::from_utf8(stored).unwrap(), answer, "an answer is given out again byte for byte");
         let picture = get(&format!("v1/answers/{}/evidence/global.jpg", told.id)).await;
         assert!(image::load_from_memory(&picture).is_ok());
-        // The same question comes to the same, but for ids and times.
+        // The same question comes to the same, but for ids and times, the version of the parts, and what was not told then.
         let again = server.client.ground(&scene.id, &ask(&told.query)).await.unwrap();
-        let (id, timings_ms, evidence) = (told.id.clone(), told.timings_ms, told.evidence.clone());
-        assert_eq!(Answer { id, timings_ms, evidence, ..again }, told);
+        let (id, timings_ms, evidence, models) = (told.id.clone(), told.timings_ms, told.evidence.clone(), told.models.clone());
+        assert_eq!(again.targets.first().map(|target| target.id), told.answer.predicted_id);
+        assert_eq!(Answer { id, timings_ms, evidence, models, targets: Vec::new(), ..again }, told);
     }
     for file in ["cloud.ply", "instances.ply", "report", "report/superpoints.jpg", "instances/1/views/0.jpg"] {
         assert!(!get(&format!("{path}/{file}")).await.is_empty(), "{file}");

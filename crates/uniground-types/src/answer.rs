@@ -238,7 +238,7 @@ pub struct Answer {
     /// Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead. Empty for `no_match`.
     pub alternatives: Vec<Alternative>,
     /// All things the question means, best first: several where it asks for several ("the chairs", "how many mugs"), else the answer's own;
-    /// empty unless grounded.
+    /// empty unless grounded, and in answers given before this was told.
     #[serde(default)]
     pub targets: Vec<Target>,
     /// How many there are; absent where the question asks for one thing.

@@ -16,6 +16,8 @@ pub const NAME: &str = "builtin-3";
 
 /// Below this, the best instance is nothing that the target's noun may mean.
 const MIN_FIT: f32 = 0.25;
+/// The same for an instance none of whose names is the one asked for.
+const MIN_UNNAMED_FIT: f32 = 0.35;
 /// Below this, no likely thing has the colour asked for.
 const MIN_COLOUR: f32 = 0.42;
 /// Below this, the best instance contradicts the relations.
@@ -66,6 +68,10 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     if scores[best] < MIN_SCORE && contradicted(&parsed.target, &assessment, best) {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, NoMatchReason::Elsewhere, why);
+    }
+    // Green and of some size, but nothing that it looks like is a fridge.
+    if assessment.nouns[best] < MIN_UNNAMED_FIT && !name_matches(&parsed.target, &instances[best]) {
+        return no_match(scores, NoMatchReason::Absent, why_nothing_fits(parsed));
     }
     let several = several(&scores, &order, parsed.quantity);
     let tied: Vec<usize> = order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
