@@ -5,7 +5,7 @@ use camino::Utf8Path;
 use serde_json::Value;
 use std::fs;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
-use uniground_types::answer::Answer;
+use uniground_types::answer::{Answer, Status};
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::scenes::{Scene, SceneStatus};
 
@@ -77,7 +77,8 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
         let again = server.client.ground(&scene.id, &ask(&told.query)).await.unwrap();
         let (id, timings_ms, evidence, models) = (told.id.clone(), told.timings_ms, told.evidence.clone(), told.models.clone());
         assert_eq!(again.targets.first().map(|target| target.id), told.answer.predicted_id);
-        assert_eq!(Answer { id, timings_ms, evidence, models, targets: Vec::new(), ..again }, told);
+        assert_eq!(again.no_match_reason.is_some(), told.status == Status::NoMatch);
+        assert_eq!(Answer { id, timings_ms, evidence, models, targets: Vec::new(), no_match_reason: None, ..again }, told);
     }
     for file in ["cloud.ply", "instances.ply", "report", "report/superpoints.jpg", "instances/1/views/0.jpg"] {
         assert!(!get(&format!("{path}/{file}")).await.is_empty(), "{file}");
