@@ -69,8 +69,8 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
-    // Green and of some size, but nothing that it looks like is a fridge.
-    if assessment.nouns[best] < MIN_UNNAMED_FIT && !name_matches(&parsed.target, &instances[best]) {
+    // Green and of some size, but nothing that it measures like is a fridge. An encoder has weighed the names already.
+    if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !name_matches(&parsed.target, &instances[best]) {
         return no_match(scores, NoMatchReason::Absent, why_nothing_fits(parsed));
     }
     let several = several(&scores, &order, parsed.quantity);
