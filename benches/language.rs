@@ -9,7 +9,6 @@ use uniground::evaluation::systems::{Names, instances_of};
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::geometry::statistics::largest;
 use uniground_core::geometry::{Point3, Vector3};
-use uniground_core::grounding::direction::DirectionConvention;
 use uniground_core::grounding::query::parse;
 use uniground_core::grounding::{Question, SceneView, ground};
 use uniground_core::models::attributes::Lexicon;
@@ -61,14 +60,7 @@ fn deciding(c: &mut Criterion) {
         let extent = Aabb::around(instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>().iter()).unwrap();
         let scene = SceneView { instances: &instances, extent, appearance: None };
         for query in QUESTIONS {
-            let question = Question {
-                query: query.into(),
-                top_k: 5,
-                convention: DirectionConvention::Paper,
-                observer: None,
-                target_name: None,
-                min_confidence: 0.0,
-            };
+            let question = Question::of(query);
             group.bench_function(format!("{count}: {query}"), |b| b.iter(|| ground(scene, black_box(&question))));
         }
     }

@@ -7,7 +7,6 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::time::Duration;
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::grounding::direction::DirectionConvention;
 use uniground_core::grounding::{Question, SceneView, ground};
 use uniground_core::ingest;
 use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
@@ -54,14 +53,7 @@ fn pipelines(c: &mut Criterion) {
 
     let mut group = c.benchmark_group("stage 2, sample scene");
     let scene = SceneView { instances: &parsed.instances, extent: parsed.extent, appearance: None };
-    let question = |query: &str| Question {
-        query: query.into(),
-        top_k: 5,
-        convention: DirectionConvention::Paper,
-        observer: None,
-        target_name: None,
-        min_confidence: 0.0,
-    };
+    let question = |query: &str| Question::of(query);
     for query in ["the orange stool", "the bookcase between the red sofa and the desk"] {
         let question = question(query);
         group.bench_function(query, |b| b.iter(|| ground(scene, black_box(&question))));

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum Status {
-    /// One object fits.
+    /// One object fits, or several were asked for and are there: see `targets`.
     Grounded,
     /// Several objects fit alike: see `alternatives`.
     Ambiguous,
@@ -235,7 +235,8 @@ pub struct Answer {
     /// Best first, at most `top_k`. Things a model was shown for their place have score 0. Absent where `include` leaves it out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub candidates: Option<Vec<Candidate>>,
-    /// Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead. Empty for `no_match`.
+    /// Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead. Empty for `no_match`, unless the
+    /// likeliest is below `min_confidence`: then it leads.
     pub alternatives: Vec<Alternative>,
     /// All things the question means, best first: several where it asks for several ("the chairs", "how many mugs"), else the answer's own;
     /// empty unless grounded, and in answers given before this was told.

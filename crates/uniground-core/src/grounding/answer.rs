@@ -137,9 +137,19 @@ impl Grounding {
         let rejected = std::mem::take(&mut self.targets);
         let rejected = rejected.into_iter().map(|t| Alternative { id: t.id, confidence: t.confidence, aabb: t.aabb });
         self.alternatives.splice(0..0, rejected);
-        (self.aabb, self.oriented_box, self.count) = (None, None, None);
+        self.alternatives.truncate(MAX_ALTERNATIVES);
+        (self.aabb, self.oriented_box) = (None, None);
+        self.count = self.count.map(|_| 0);
         let why = format!("Not sure enough ({:.2} of {least:.2}): {}", self.confidence, self.answer.explanation);
-        self.answer = SixFields { predicted_id: None, target_name_matches: None, explanation: why, ..self.answer.clone() };
+        self.confidence = 1.0 - self.confidence;
+        self.answer = SixFields {
+            predicted_id: None,
+            explanation: why,
+            candidate_names: std::mem::take(&mut self.answer.candidate_names),
+            target_name_matches: None,
+            anchor_id: None,
+            relation_used: None,
+        };
     }
 }
 

@@ -210,10 +210,12 @@ impl<'a> Assessor<'a> {
         {
             return self.within(nouns, fits, relation.negated);
         }
-        if let (Some(observer), [anchor]) = (&self.observer, &relation.anchors[..])
+        if let [anchor] = &relation.anchors[..]
             && anchor.head == ME
         {
-            return self.to_observer(relation, observer, fits);
+            // Nobody knows where the one who asks stands, unless the request says so.
+            let unknown = || vec![Bond { score: 1.0, anchor: None }; fits.len()];
+            return self.observer.as_ref().map_or_else(unknown, |observer| self.to_observer(relation, observer, fits));
         }
         let assessed: Vec<Assessment> = relation.anchors.iter().map(|phrase| self.assess(phrase)).collect();
         if let Some(share) = unchecked(&relation.anchors, &assessed, NOT_FOUND) {

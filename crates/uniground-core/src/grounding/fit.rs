@@ -193,6 +193,18 @@ mod tests {
     use super::*;
 
     #[test]
+    fn names_are_matched_by_kind_not_by_their_last_word() {
+        let fit = |given: &str, asked: &str| {
+            let phrase = Phrase { head: asked.into(), ..Phrase::default() };
+            given_name_fit(given, &phrase, &phrase.meaning())
+        };
+        assert!(fit("trash can", "dustbin") >= SYNONYM && fit("acoustic guitar", "musical instrument") > 0.5);
+        for (given, asked) in [("high chair", "dining chair"), ("coffee table", "dining table"), ("washing machine", "fridge")] {
+            assert_eq!(fit(given, asked), 0.0, "{given} {asked}");
+        }
+    }
+
+    #[test]
     fn only_the_best_few_are_looked_at() {
         // The work on a question over thousands of instances is bounded by this.
         assert_eq!(most_plausible(&[0.5, 0.1, 0.9, 0.0, 0.8], usize::MAX), [(0, 0.5), (2, 0.9), (4, 0.8)]);

@@ -134,7 +134,7 @@ pub fn beside(target: &Solid, anchor: &Solid, direction: &Vector3<f32>) -> f32 {
     let Some(unit) = horizontal(target, anchor) else { return 0.0 };
     let aligned = ((unit.dot(direction) - 0.2) / 0.5).clamp(0.0, 1.0);
     // What stands on the other or hangs above it is not beside it.
-    let stacked = target.footprint_overlap(anchor).max(anchor.footprint_overlap(target)) * fade(target.vertical_gap(anchor), 0.1).max(0.5);
+    let stacked = target.footprint_overlap(anchor).max(anchor.footprint_overlap(target));
     aligned * (1.0 - stacked) * (0.4 + 0.6 * near(target, anchor))
 }
 

@@ -104,13 +104,10 @@ struct Held {
 fn agreements(hits: &[InstancePixel], things: u32, masks: &[IdRuns]) -> BTreeMap<InstanceId, f32> {
     let mut best: BTreeMap<InstanceId, f32> = BTreeMap::new();
     for ids in masks.iter().map(IdRuns::unpacked) {
-        let of_hit: Vec<u16> = hits.iter().map(|hit| ids.at(hit.cell)).collect();
         let mut of_mask: BTreeMap<u16, u32> = BTreeMap::new();
         let mut held: Vec<Held> = Vec::new();
-        let mut start = 0;
         for same in hits.chunk_by(|a, b| a.instance == b.instance) {
-            let mut own = of_hit[start..start + same.len()].to_vec();
-            start += same.len();
+            let mut own: Vec<u16> = same.iter().map(|hit| ids.at(hit.cell)).collect();
             own.sort_unstable();
             let masks: Vec<(u16, u32)> = own.chunk_by(|a, b| a == b).map(|same| (same[0], same.len() as u32)).collect();
             let instance = same[0].instance;

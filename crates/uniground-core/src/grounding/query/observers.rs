@@ -19,8 +19,7 @@ const WALK: [&str; 12] = ["walk", "walking", "come", "coming", "enter", "enterin
 const OPENERS: [&str; 12] = ["if", "when", "as", "while", "once", "whenever", "imagine", "suppose", "assume", "assuming", "pretend", "say"];
 const SUBJECTS: [&str; 10] = ["i", "you", "we", "one", "someone", "somebody", "your", "he", "they", "people"];
 const SUBJECTS_WITH_BE: [&str; 8] = ["i'm", "im", "you're", "youre", "we're", "they're", "he's", "she's"];
-const AUXILIARIES: [&str; 15] =
-    ["are", "am", "were", "is", "was", "be", "to", "just", "first", "now", "were to", "would", "had", "have", "that"];
+const AUXILIARIES: [&str; 14] = ["are", "am", "were", "is", "was", "be", "to", "just", "first", "now", "would", "had", "have", "that"];
 const PARTICLES: [&str; 13] =
     ["up", "down", "back", "out", "over", "right", "straight", "directly", "there", "here", "just", "around", "comfortably"];
 /// Longest first.

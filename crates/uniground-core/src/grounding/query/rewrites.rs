@@ -266,6 +266,7 @@ mod tests {
             ("how many lamps do we have in here", "how many lamps in here"),
             ("which sofa is the teddy sitting on?", "which sofa with the teddy ,"),
             ("the photo at the very left", "the photo at the left"),
+            ("the lamp all the way to the right", "the lamp to the right"),
             ("somethng to sit on, theres one", "something to sit on , there's one"),
             ("its the one near the door", "it's the one near the door"),
             ("its shade is orange", "its shade is orange"),

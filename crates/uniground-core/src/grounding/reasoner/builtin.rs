@@ -216,7 +216,7 @@ mod tests {
     fn ask_with(query: &str, convention: DirectionConvention, observer: Option<Observer>) -> Grounding {
         let instances = room();
         let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-        let question = Question { query: query.into(), top_k: 5, convention, observer, target_name: None, min_confidence: 0.0 };
+        let question = Question { convention, observer, ..Question::of(query) };
         ground(SceneView { instances: &instances, extent, appearance: None }, &question)
     }
 
@@ -358,6 +358,7 @@ mod tests {
         answer.hold_to(confidence);
         assert_eq!(answer.status, Status::Grounded);
         answer.hold_to(confidence + 0.01);
+        assert!((answer.confidence - (1.0 - confidence)).abs() < 1e-6, "for no_match, the belief that nothing fits");
         assert_eq!((answer.status, answer.no_match_reason), (Status::NoMatch, Some(NoMatchReason::NotSureEnough)));
         assert!(answer.aabb.is_none() && answer.answer.predicted_id.is_none() && answer.targets.is_empty());
         assert_eq!(answer.alternatives.first().map(|a| a.id), chosen);

@@ -148,7 +148,8 @@ impl Decision {
             .retain(|target| grounding.count.is_some() && own.as_ref().is_some_and(|own| own.id != target.id));
         grounding.targets.splice(0..0, own);
         grounding.count = grounding.count.map(|_| grounding.targets.len() as u32);
-        let rivals = grounding.candidates.iter().filter(|c| chosen.is_some_and(|i| i.id != c.id));
+        let meant = |id: InstanceId| grounding.targets.iter().any(|target| target.id == id);
+        let rivals = grounding.candidates.iter().filter(|c| chosen.is_some() && !meant(c.id));
         let mut rivals: Vec<Alternative> = rivals
             .map(|c| Alternative { id: c.id, confidence: (1.0 - weight) * belief(c.id), aabb: c.aabb })
             .collect();

@@ -1,7 +1,7 @@
 use super::*;
 use crate::geometry::boxes::Aabb;
 use crate::geometry::{Point3, Vector3};
-use crate::grounding::direction::{DirectionConvention, Observer};
+use crate::grounding::direction::Observer;
 use crate::grounding::{Grounding, Question, SceneView, Status, ground_with_context, query};
 use crate::models::attributes::{self, tests::thing};
 use crate::models::chat::{Part, Tokens};
@@ -33,14 +33,7 @@ pub fn room() -> Vec<Instance> {
 fn asked(query: &str, observer: Option<Observer>) -> (Grounding, PromptContext) {
     let instances = room();
     let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-    let question = Question {
-        query: query.into(),
-        top_k: 5,
-        convention: DirectionConvention::Paper,
-        observer,
-        target_name: None,
-        min_confidence: 0.0,
-    };
+    let question = Question { observer, ..Question::of(query) };
     let scene = SceneView { instances: &instances, extent, appearance: None };
     ground_with_context(scene, &question, query::parse(query), Duration::ZERO)
 }

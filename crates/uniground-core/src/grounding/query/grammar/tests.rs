@@ -50,6 +50,43 @@ fn everyday_questions_are_understood() {
 }
 
 #[test]
+fn plain_speech_is_understood() {
+    check(&[
+        ("facing the bed the lamp on the left", "lamp; Leftmost 1; Facing bed"),
+        ("if i sit on the red sofa and look at the tv, the speaker on the right", "speaker; Rightmost 1; Facing tv"),
+        ("facing the two wardrobes, the one on the right", "wardrobes; Rightmost 1; Facing 2 wardrobes"),
+        ("facing the wall left monitor", "monitor; Leftmost 1; Facing wall"),
+        ("facing the tv on the wall, the speaker on the left", "speaker; Leftmost 1; Facing tv; On(wall)"),
+        ("there is a large , red couch", "large red couch"),
+        ("the trash can closest to brown chairs", "trash can; Closest(brown chairs)"),
+        ("the picture over the headboard of the bed", "picture; Above(bed)"),
+        ("over at the round table, the chair", "chair; Near(round table)"),
+        (
+            "facing the dresser, counting from the left, the fourth thing on it",
+            "thing; On(dresser); Leftmost 4; Facing dresser",
+        ),
+        ("the stove in the kitchen", "stove; Inside(kitchen)"),
+        ("the lamp closest to me", "lamp; Closest(me)"),
+    ]);
+}
+
+#[test]
+fn several_are_told_from_one() {
+    for (query, quantity) in [
+        ("the chair", Quantity::One),
+        ("the tallest of the chairs", Quantity::One),
+        ("the chairs around the table", Quantity::All),
+        ("how many mugs do we have", Quantity::All),
+        ("count all the lamps", Quantity::All),
+        ("both chairs", Quantity::Exactly(2)),
+        ("the three mugs on the desk", Quantity::Exactly(3)),
+        ("the chair next to the two desks", Quantity::One),
+    ] {
+        assert_eq!(parse(query).quantity, quantity, "{query}");
+    }
+}
+
+#[test]
 fn descriptions_of_several_sentences_speak_of_one_thing() {
     check(&[
         ("this is a teapot. it is standing on the dining table.", "teapot; On(dining table)"),
