@@ -21,6 +21,7 @@ pub fn of_answer(answer: &Answer) -> Table {
         .join(", ");
     let status = match answer.status {
         Status::Grounded => "grounded",
+        Status::Uncertain => "uncertain",
         Status::Ambiguous => "ambiguous",
         Status::NoMatch => "no match",
     };

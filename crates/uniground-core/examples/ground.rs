@@ -30,7 +30,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     for query in arguments {
         let grounding = block_on(answer(&scene, Ask::of(Question::of(&query))))?.grounding;
         match (grounding.status, grounding.oriented_box) {
-            (Status::Grounded, Some(found)) => {
+            (Status::Grounded | Status::Uncertain, Some(found)) => {
                 let (at, size) = (found.center.coords.as_slice(), found.size.as_slice());
                 println!("{query}: at {at:.2?} m, size {size:.2?} m, turned by {:.2} rad", found.yaw_rad);
             }

@@ -12,6 +12,9 @@ use std::collections::BTreeMap;
 pub enum Status {
     /// One object fits, or several were asked for and are there: see `targets`.
     Grounded,
+    /// One object (or several) fits best, with less belief than the question's `min_confidence`: a guess, with its box. Not to be acted on
+    /// unasked.
+    Uncertain,
     /// Several objects fit alike: see `alternatives`.
     Ambiguous,
     /// Nothing in the room fits.
@@ -27,10 +30,10 @@ pub enum NoMatchReason {
     Absent,
     /// The word for the thing means nothing to the parts that answered: whether it is there is not known.
     NotRecognised,
+    /// Most words are of another language, and the built-in parser reads English only.
+    NotEnglish,
     /// There is such a thing, but not where the question says.
     Elsewhere,
-    /// What fits best is less likely than the `min_confidence` of the request; `alternatives` has it.
-    NotSureEnough,
     /// A vision-language model looked and found none.
     NoneSeen,
 }
@@ -39,7 +42,7 @@ pub enum NoMatchReason {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct SixFields {
-    /// Id of the chosen instance; `null` unless grounded.
+    /// Id of the chosen instance; `null` unless `grounded` or `uncertain`.
     pub predicted_id: Option<InstanceId>,
     /// Why, in words a person can check.
     pub explanation: String,
@@ -206,7 +209,7 @@ fn kept() -> bool {
     true
 }
 
-/// The answer to a question. `box` is set only when the status is `grounded`.
+/// The answer to a question. `box` is set when the status is `grounded`, or `uncertain`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Answer {
@@ -218,28 +221,27 @@ pub struct Answer {
     pub parse_version: u32,
     /// The question, word for word.
     pub query: String,
-    /// Whether one object fits, several or none.
+    /// Whether one object fits, surely or not, several or none.
     pub status: Status,
     /// Why nothing was chosen; absent unless `no_match`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub no_match_reason: Option<NoMatchReason>,
     /// The six fields.
     pub answer: SixFields,
-    /// Axis-aligned box of the answer, metres, world frame (Z up); `null` unless grounded.
+    /// Axis-aligned box of the answer, metres, world frame (Z up); `null` unless `grounded` or `uncertain`.
     #[serde(rename = "box")]
     pub aabb: Option<Aabb>,
-    /// Box of the answer turned about the vertical to fit it; `null` unless grounded.
+    /// Box of the answer turned about the vertical to fit it; `null` unless `grounded` or `uncertain`.
     pub oriented_box: Option<OrientedBox>,
-    /// Belief in the answer, `0..=1`; for `no_match`, that nothing fits.
+    /// Belief in the answer, `0..=1`; for `no_match`, that nothing fits: 0.5 where it is not known what is asked for.
     pub confidence: f32,
     /// Best first, at most `top_k`. Things a model was shown for their place have score 0. Absent where `include` leaves it out.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub candidates: Option<Vec<Candidate>>,
-    /// Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead. Empty for `no_match`, unless the
-    /// likeliest is below `min_confidence`: then it leads.
+    /// Other instances that may be meant, likeliest first: where `ambiguous`, the tied ones lead. Empty for `no_match`.
     pub alternatives: Vec<Alternative>,
     /// All things the question means, best first: several where it asks for several ("the chairs", "how many mugs"), else the answer's own;
-    /// empty unless grounded, and in answers given before this was told.
+    /// empty unless `grounded` or `uncertain`, and in answers given before this was told.
     #[serde(default)]
     pub targets: Vec<Target>,
     /// How many there are; absent where the question asks for one thing.

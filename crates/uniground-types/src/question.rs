@@ -3,6 +3,9 @@
 use crate::problem::FieldError;
 use serde::{Deserialize, Serialize};
 
+/// `min_confidence` where the request leaves it out: more likely right than not.
+pub const DEFAULT_MIN_CONFIDENCE: f32 = 0.5;
+
 const MAX_QUERY_CHARS: usize = 2000;
 
 const MAX_TOP_K: u32 = 100;
@@ -156,8 +159,8 @@ pub struct GroundRequest {
     /// Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`.
     #[serde(default)]
     pub allow_builtin: bool,
-    /// Least belief for a `grounded` answer, `0..=1`: below it nothing is chosen, and `no_match_reason` says so. For those who act on an
-    /// answer. Left out: the likeliest is chosen, however unlikely.
+    /// Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, more likely right than
+    /// not. 0: nothing is uncertain.
     #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 1))]
     pub min_confidence: Option<f32>,
     /// Optional parts to send back; all when left out.

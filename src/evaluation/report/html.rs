@@ -156,6 +156,7 @@ fn failure(outcome: &ScoredExpression, folder: &Utf8Path, embed: bool) -> String
     if let Some(reply) = &outcome.reply {
         let status = match reply.status {
             Status::Grounded => "grounded",
+            Status::Uncertain => "uncertain",
             Status::Ambiguous => "ambiguous",
             Status::NoMatch => "no match",
         };

@@ -119,6 +119,8 @@ impl OpenScene for RemoteScene {
             ablation: *ablation,
             evidence: *evidence,
             direction_convention: *convention,
+            // As measured in process: the confidences tell how sure answers are.
+            min_confidence: Some(0.0),
             ..GroundRequest::of(&expression.query)
         };
         let shortlist = ShortlistRequest { top_k: SHORTLIST_DEPTH, ..ShortlistRequest::of(&expression.query) };

@@ -18,7 +18,7 @@ use uniground_core::grounding::vlm::Options;
 use uniground_core::grounding::{Grounding, Question, ShortlistScoring};
 use uniground_core::models::chat::{Budget, CallRecord, OverBudget};
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
-use uniground_types::question::{GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
+use uniground_types::question::{DEFAULT_MIN_CONFIDENCE, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
 
 impl Service {
     /// Grounds one question in a parsed scene and keeps the answer.
@@ -147,7 +147,7 @@ impl Service {
             convention: request.direction_convention,
             observer: request.observer,
             target_name: None,
-            min_confidence: request.min_confidence.unwrap_or(0.0),
+            min_confidence: request.min_confidence.unwrap_or(DEFAULT_MIN_CONFIDENCE),
         };
         Ok(Ask { question, parser, without_parser: WithoutModel::BuiltIn, allow_builtin_encoder: request.allow_builtin, review })
     }

@@ -26,19 +26,19 @@ pub(super) fn timings(parsed: Duration, shortlisted: Duration, total: Duration) 
 pub struct Grounding {
     /// The question as it was asked.
     pub query: String,
-    /// Only `grounded` has a box.
+    /// Only `grounded` and `uncertain` have a box.
     pub status: Status,
     /// Why nothing is chosen; `None` unless `no_match`.
     #[serde(default)]
     pub no_match_reason: Option<NoMatchReason>,
     /// The paper's six fields (App. B.1).
     pub answer: SixFields,
-    /// Axis-aligned box of the answer; `null` unless grounded.
+    /// Axis-aligned box of the answer; `null` unless `grounded` or `uncertain`.
     #[serde(rename = "box")]
     pub aabb: Option<Aabb>,
-    /// Yaw-oriented box of the answer; `null` unless grounded.
+    /// Yaw-oriented box of the answer; `null` unless `grounded` or `uncertain`.
     pub oriented_box: Option<OrientedBox>,
-    /// Belief in the answer, `0..=1`; for `no_match`, the belief that nothing fits.
+    /// Belief in the answer, `0..=1`; for `no_match`, the belief that nothing fits: 0.5 where it is not known what is asked for.
     pub confidence: f32,
     /// The best candidates, best first.
     pub candidates: Vec<Candidate>,
@@ -59,6 +59,8 @@ pub struct Grounding {
     pub timings_ms: Timings,
 }
 
+/// Belief that nothing fits, where it is not known what is asked for.
+const NOBODY_KNOWS: f32 = 0.5;
 /// How many alternatives are told.
 const MAX_ALTERNATIVES: usize = 5;
 /// Alternatives below this share of the belief are not worth telling.
@@ -72,6 +74,7 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
         .filter(|_| status == Status::Grounded)
         .map(|c| &scene.instances[c.id.0 as usize - 1]);
     let confidence = match (status, candidates.first()) {
+        (Status::NoMatch, _) if matches!(reason, Some(NoMatchReason::NotRecognised | NoMatchReason::NotEnglish)) => NOBODY_KNOWS,
         (Status::NoMatch, Some(best)) => 1.0 - best.score,
         (Status::NoMatch, None) => 1.0,
         (_, Some(best)) if parsed.quantity != Quantity::One => best.score,
@@ -127,29 +130,11 @@ pub(super) fn target(instance: &Instance, confidence: f32) -> Target {
 }
 
 impl Grounding {
-    /// The same answer for somebody who acts only on a belief of at least `least`: what is less likely becomes the first alternative.
+    /// The same answer for somebody who acts only on a belief of at least `least`: what is less likely is uncertain.
     pub(super) fn hold_to(&mut self, least: f32) {
-        if self.status != Status::Grounded || self.confidence >= least {
-            return;
+        if self.status == Status::Grounded && self.confidence < least {
+            self.status = Status::Uncertain;
         }
-        self.status = Status::NoMatch;
-        self.no_match_reason = Some(NoMatchReason::NotSureEnough);
-        let rejected = std::mem::take(&mut self.targets);
-        let rejected = rejected.into_iter().map(|t| Alternative { id: t.id, confidence: t.confidence, aabb: t.aabb });
-        self.alternatives.splice(0..0, rejected);
-        self.alternatives.truncate(MAX_ALTERNATIVES);
-        (self.aabb, self.oriented_box) = (None, None);
-        self.count = self.count.map(|_| 0);
-        let why = format!("Not sure enough ({:.2} of {least:.2}): {}", self.confidence, self.answer.explanation);
-        self.confidence = 1.0 - self.confidence;
-        self.answer = SixFields {
-            predicted_id: None,
-            explanation: why,
-            candidate_names: std::mem::take(&mut self.answer.candidate_names),
-            target_name_matches: None,
-            anchor_id: None,
-            relation_used: None,
-        };
     }
 }
 
@@ -180,7 +165,12 @@ fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
         not_understood: parsed.not_understood.clone(),
     };
     collect_anchors(target, &mut summary);
-    summary.anchors.extend(parsed.viewpoint.iter().map(|v| v.anchor.text()));
+    let looked_at = parsed.viewpoint.iter().map(|v| &v.anchor);
+    let stands_at = parsed
+        .standpoint
+        .iter()
+        .filter(|stands_at| parsed.viewpoint.as_ref().is_none_or(|v| v.anchor != **stands_at));
+    summary.anchors.extend(looked_at.chain(stands_at).map(Phrase::text));
     summary
 }
 

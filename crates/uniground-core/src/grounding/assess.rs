@@ -4,75 +4,40 @@
 //! each relation, the best (fit of an anchor) x (geometry of the pair) over **all** other instances, computed from the leaves up:
 //! target and anchors are chosen together, not one after the other.
 
+mod carried;
+mod places;
+
 use super::SceneView;
 use super::direction::Directions;
 use super::fit::{colours_fit, most_plausible, noun_fits, trait_fits};
-use super::query::{ME, Meaning, Measure, Phrase, Relation, RelationKind, Superlative, With, zones};
+use super::query::{ME, Meaning, Phrase, Relation, RelationKind, zones};
 use super::relations::{self, Room};
 use super::solid::Solid;
 use crate::geometry::boxes::OrientedBox;
-use crate::geometry::{Point2, Vector3};
-use crate::models::attributes;
-use crate::scene::{InstanceId, Structure};
+use crate::geometry::{Point2, Point3, Vector3};
+use crate::scene::{InstanceId, Structure, Support};
+use places::ranked;
 use std::cell::OnceCell;
 
 /// What a contradicted relation leaves of a score: geometry is noisy.
 const CONTRADICTED: f32 = 0.05;
 /// The same for relations that depend on who looks, and on what "between" or "in the corner" means to them.
 const LOOSELY_CONTRADICTED: f32 = 0.2;
-/// Each place further from the asked extreme multiplies the score by this.
-const NEXT_BEST: f32 = 0.45;
-/// Power of a fit when things are ranked: what hardly fits the noun hardly takes up a place in the ranking.
-const PRESENCE_POWER: i32 = 4;
 /// How many anchors a relation tries, the best ones: this bounds the work in a scene of thousands of instances.
 const MAX_ANCHORS: usize = 64;
 /// The same for each anchor of "between", where pairs are looked at.
 const MAX_ANCHORS_OF_A_PAIR: usize = 16;
-/// Windows, doors, screens and pictures are thinner, metres.
-const THIN_M: f32 = 0.2;
-/// What stands on the floor begins below, metres.
-const OFF_THE_FLOOR_M: f32 = 0.4;
-/// At this gap from what is looked at a thing is half in view, metres.
-const LOOKED_AT_REACH_M: f32 = 1.5;
 /// Instances that fit the thing itself worse than this are not looked at further.
 const IMPOSSIBLE: f32 = 0.01;
-/// Share of its score that a thing keeps when it lacks what it should carry.
-const NOT_CARRIED: f32 = 0.1;
 /// A phrase whose best fit is below this names nothing that was found in the room.
 const FOUND: f32 = 0.05;
 /// Below this nothing carries what is asked for.
 const CARRIED: f32 = 0.25;
 /// What is left of a score when the other thing of a relation was not found: it may be there all the same.
 const NOT_FOUND: f32 = 0.3;
-/// The same for what a thing should carry or have: small things and parts are seldom found.
-const SMALL_NOT_FOUND: f32 = 0.6;
 
-/// Parts of things ("the stool with the orange seat" speaks of the stool's own colour), each with the nouns known for it; none: any thing.
-const PARTS: &[(&str, &[&str])] = &[
-    ("seat", &[]),
-    ("back", &[]),
-    ("backrest", &[]),
-    ("leg", &[]),
-    ("arm", &["armchair", "sofa", "office chair"]),
-    ("armrest", &["armchair", "sofa", "office chair"]),
-    ("handle", &[]),
-    ("drawer", &["dresser", "nightstand", "filing cabinet", "desk", "cabinet"]),
-    ("wheel", &["office chair", "cart", "suitcase", "bicycle"]),
-    ("caster", &["office chair", "cart"]),
-    ("top", &[]),
-    ("frame", &[]),
-    ("cushion", &["sofa", "armchair", "bench"]),
-    ("shade", &["floor lamp", "desk lamp"]),
-    ("lid", &[]),
-    ("base", &[]),
-    ("pattern", &[]),
-    ("stripe", &[]),
-    ("upholstery", &[]),
-    ("edge", &[]),
-    ("door", &[]),
-];
-/// Share of its score that a thing keeps when a part is asked for that it is not known for.
-const ODD_PART: f32 = 0.6;
+/// Share that "on the wall" keeps for what stands in front of it.
+const AT_THE_WALL: f32 = 0.3;
 
 /// An anchor chosen for one relation, with the score of the pair.
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -128,7 +93,7 @@ impl<'a> Assessor<'a> {
             let heights = (extent.min().z, extent.max().z);
             let outline = OrientedBox::min_area(&corners, heights).map_or_else(|| extent.into(), Solid::from);
             let walls = self.scene.instances.iter().zip(&self.solids).filter(|(i, _)| i.structure == Some(Structure::Wall));
-            Room { outline, walls: walls.map(|(_, solid)| *solid).collect() }
+            Room::new(outline, walls.map(|(_, solid)| *solid).collect())
         })
     }
 
@@ -188,6 +153,14 @@ impl<'a> Assessor<'a> {
         (total[best] > 0.0).then_some(best)
     }
 
+    /// The middle of all that a phrase's own words may mean; metres.
+    #[must_use]
+    pub fn middle_of(&self, phrase: &Phrase) -> Option<Point3<f32>> {
+        let likely = most_plausible(&self.own_fits(phrase).1, MAX_ANCHORS);
+        let sum = likely.iter().fold(Vector3::zeros(), |sum, &(i, _)| sum + self.solids[i].center.coords);
+        (!likely.is_empty()).then(|| Point3::from(sum / likely.len() as f32))
+    }
+
     fn id(&self, index: usize) -> InstanceId {
         self.scene.instances[index].id
     }
@@ -219,7 +192,7 @@ impl<'a> Assessor<'a> {
         }
         let assessed: Vec<Assessment> = relation.anchors.iter().map(|phrase| self.assess(phrase)).collect();
         if let Some(share) = unchecked(&relation.anchors, &assessed, NOT_FOUND) {
-            return vec![Bond { score: share, anchor: None }; fits.len()];
+            return self.at_a_side(relation, fits, share);
         }
         let anchors: Vec<Vec<(usize, f32)>> = assessed.iter().map(|found| most_plausible(&found.total, most)).collect();
         let each = |of: &dyn Fn(usize) -> Bond| (0..fits.len()).map(|t| if fits[t] < IMPOSSIBLE { NO_BOND } else { of(t) }).collect();
@@ -231,19 +204,40 @@ impl<'a> Assessor<'a> {
             (RelationKind::Between, [a, b, ..]) => each(&|t| self.between_pair(t, a, b)),
             (RelationKind::Between, [only]) => each(&|t| self.between_pair(t, only, only)),
             // Several anchors ("next to the sofa and the lamp") must all hold.
-            (kind, all) => each(&|t| {
+            (_, all) => each(&|t| {
                 let mut joint = Bond { score: 1.0, anchor: None };
                 for candidates in all {
-                    let bond = self.best_bond(kind, t, candidates);
+                    let bond = self.best_bond(relation, t, candidates);
                     joint = Bond { score: joint.score * bond.score, anchor: joint.anchor.or(bond.anchor) };
                 }
                 joint
             }),
         };
+        // "on a stand": where none of those that were found will do, it is another one.
+        let found = bonds.iter().zip(fits).any(|(bond, fit)| bond.score >= CARRIED && *fit >= IMPOSSIBLE);
+        if !found && relation.anchors.iter().any(|anchor| anchor.indefinite) && !relation.negated {
+            return vec![Bond { score: NOT_FOUND, anchor: None }; fits.len()];
+        }
         match relation.negated {
             true => bonds.into_iter().map(|b| Bond { score: 1.0 - b.score, ..b }).collect(),
             false => bonds,
         }
+    }
+
+    /// A relation to a thing that is not known or was not found. "Right of the mantel": of its like, the one on the right.
+    fn at_a_side(&self, relation: &Relation, fits: &[f32], share: f32) -> Vec<Bond> {
+        let side = match relation.kind {
+            RelationKind::LeftOf => -self.directions.right,
+            RelationKind::RightOf => self.directions.right,
+            _ => return vec![Bond { score: share, anchor: None }; fits.len()],
+        };
+        let along = |t: usize| -self.solids[t].center.coords.dot(&side);
+        let mut order: Vec<(f32, usize)> = most_plausible(fits, usize::MAX).into_iter().map(|(t, _)| (along(t), t)).collect();
+        let mut bonds = vec![NO_BOND; fits.len()];
+        for (t, factor) in ranked(relation, &mut order, fits) {
+            bonds[t].score = share * if relation.negated { 1.0 - factor } else { factor };
+        }
+        bonds
     }
 
     /// How far each instance lies within the zone that things of these nouns make: near one of them. Where there are none, anything may.
@@ -270,9 +264,34 @@ impl<'a> Assessor<'a> {
             .collect()
     }
 
-    fn best_bond(&self, kind: RelationKind, target: usize, anchors: &[(usize, f32)]) -> Bond {
-        let bond = |&(a, fit): &(usize, f32)| Bond { score: fit.sqrt() * self.geometry(kind, target, &[a]), anchor: Some(self.id(a)) };
+    fn best_bond(&self, relation: &Relation, target: usize, anchors: &[(usize, f32)]) -> Bond {
+        let score = |a: usize| {
+            self.geometry(relation.kind, target, &[a]).max(self.on_its_side(relation, target, a)) * self.hangs(relation.kind, target, a)
+        };
+        let bond = |&(a, fit): &(usize, f32)| Bond { score: fit.sqrt() * score(a), anchor: Some(self.id(a)) };
         anchors.iter().filter(|&&(a, _)| a != target).map(bond).fold(NO_BOND, better)
+    }
+
+    /// What is on a wall hangs there: what stands on the floor or on a thing is only at it.
+    fn hangs(&self, kind: RelationKind, target: usize, anchor: usize) -> f32 {
+        let of = |i: usize| &self.scene.instances[i];
+        let held_below = matches!(of(target).support, Support::Floor | Support::Instance { .. });
+        if kind == RelationKind::On && of(anchor).structure == Some(Structure::Wall) && held_below { AT_THE_WALL } else { 1.0 }
+    }
+
+    /// "On the left side of the desk" may be said of what stands on it, to the left.
+    fn on_its_side(&self, relation: &Relation, target: usize, anchor: usize) -> f32 {
+        let sign = match relation.kind {
+            RelationKind::LeftOf => -1.0,
+            RelationKind::RightOf => 1.0,
+            _ => return 0.0,
+        };
+        let (target, anchor) = (&self.solids[target], &self.solids[anchor]);
+        if relation.text.starts_with("on the") {
+            relations::on(target, anchor) * anchor.share_along(&target.center, &(sign * self.directions.right))
+        } else {
+            0.0
+        }
     }
 
     fn between_pair(&self, target: usize, a: &[(usize, f32)], b: &[(usize, f32)]) -> Bond {
@@ -330,87 +349,6 @@ impl<'a> Assessor<'a> {
         let told = |score: f32| if relation.negated { 1.0 - score } else { score };
         scores.into_iter().map(|score| Bond { score: told(score), anchor: None }).collect()
     }
-
-    fn apply_superlative(&self, superlative: Superlative, scores: &mut [f32]) {
-        let along = |i: usize, direction: Vector3<f32>| self.solids[i].center.coords.dot(&direction);
-        let measure = |i: usize| match superlative.measure {
-            Measure::Largest => self.solids[i].volume(),
-            Measure::Smallest => -self.solids[i].volume(),
-            Measure::Tallest => self.solids[i].size[2],
-            Measure::Shortest => -self.solids[i].size[2],
-            Measure::Highest => self.solids[i].center.z,
-            Measure::Lowest => -self.solids[i].center.z,
-            Measure::Leftmost => -along(i, self.directions.right),
-            Measure::Rightmost | Measure::Middle => along(i, self.directions.right),
-            Measure::Frontmost => along(i, self.directions.front),
-            Measure::Backmost => -along(i, self.directions.front),
-        };
-        let sideways = matches!(superlative.measure, Measure::Leftmost | Measure::Rightmost | Measure::Middle);
-        // Who faces a window or a picture has the whole room in view.
-        let floor_z = self.scene.extent.min().z;
-        let stands_free = |i: &usize| self.solids[*i].sides().1 > THIN_M && self.solids[*i].bottom < floor_z + OFF_THE_FLOOR_M;
-        if let Some(looked_at) = self.looked_at.filter(|_| sideways).filter(stands_free) {
-            let here = |i: usize| relations::reaching(&self.solids[i], &self.solids[looked_at], LOOKED_AT_REACH_M);
-            scores.iter_mut().enumerate().for_each(|(i, score)| *score *= 0.5 + 0.5 * here(i));
-        }
-        let mut order: Vec<(f32, usize)> = most_plausible(scores, usize::MAX).into_iter().map(|(t, _)| (measure(t), t)).collect();
-        order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-        let places = soft_places(&order, scores);
-        let asked = match superlative.measure {
-            Measure::Middle => places.last().map_or(0.0, |(_, last, _)| last / 2.0),
-            _ => superlative.rank.max(1) as f32 - 1.0,
-        };
-        let mut factors = vec![0.0; scores.len()];
-        nearness_to(&places, asked).into_iter().for_each(|(t, factor)| factors[t] = factor);
-        scores.iter_mut().zip(factors).for_each(|(score, factor)| *score *= factor);
-    }
-
-    /// "with the book on it", "with four chairs", "without books", "with the orange seat".
-    fn apply_with(&self, With { phrase, absent }: &With, scores: &mut [f32]) {
-        let singular = |part: &str| phrase.head == part || phrase.head.strip_suffix('s') == Some(part);
-        if let Some((_, of)) = PARTS.iter().find(|(part, _)| singular(part)) {
-            let known = |i: usize| of.is_empty() || of.iter().any(|noun| is_named(&self.scene.instances[i], noun));
-            for (i, score) in scores.iter_mut().enumerate().filter(|(_, s)| **s > 0.0) {
-                let fit = colours_fit(phrase, &self.scene.instances[i]) * if known(i) { 1.0 } else { ODD_PART };
-                *score *= if *absent { 1.0 } else { fit };
-            }
-            return;
-        }
-        let found = self.assess(phrase);
-        if let Some(share) = unchecked(std::slice::from_ref(phrase), std::slice::from_ref(&found), SMALL_NOT_FOUND) {
-            if !absent {
-                scores.iter_mut().for_each(|score| *score *= share);
-            }
-            return;
-        }
-        let things = most_plausible(&found.total, MAX_ANCHORS);
-        let best = things.iter().map(|t| t.1).fold(f32::EPSILON, f32::max);
-        let fit_of = |i: usize| {
-            let carried = |&(t, _): &(usize, f32)| {
-                let (thing, own) = (&self.solids[t], &self.solids[i]);
-                let held = relations::on(thing, own).max(relations::inside(thing, own));
-                held.max(0.6 * relations::around(thing, own))
-            };
-            let others = || things.iter().filter(|(t, _)| *t != i);
-            match phrase.count {
-                None => others().map(|t| t.1 * carried(t)).fold(0.0, f32::max),
-                // What stands around counts when it stands close.
-                Some(count) => {
-                    let found: f32 = others().map(|t| t.1 / best * ((carried(t) - 0.3) / 0.2).clamp(0.0, 1.0)).sum();
-                    best.min(1.0) / (1.0 + ((found - count as f32) / 0.6).powi(2))
-                }
-            }
-        };
-        let fits: Vec<(usize, f32)> = most_plausible(scores, usize::MAX).into_iter().map(|(i, _)| (i, fit_of(i))).collect();
-        // Where none carries such a thing, it was missed: books on a shelf are seldom found one by one.
-        let missed = !absent && fits.iter().all(|(_, fit)| *fit < CARRIED);
-        let mut shares = vec![NOT_CARRIED; scores.len()];
-        for (i, fit) in fits {
-            let fit = NOT_CARRIED + (1.0 - NOT_CARRIED) * fit;
-            shares[i] = if *absent { 1.0 + NOT_CARRIED - fit } else { fit.max(if missed { SMALL_NOT_FOUND } else { 0.0 }) };
-        }
-        scores.iter_mut().zip(shares).for_each(|(score, share)| *score *= share);
-    }
 }
 
 /// What is left of a score where nothing can be measured: all of it when a word is not known, `share` when no such thing was found.
@@ -430,57 +368,6 @@ fn contradicted(kind: RelationKind) -> f32 {
     if kind.depends_on_who_looks() { LOOSELY_CONTRADICTED } else { CONTRADICTED }
 }
 
-fn is_named(instance: &crate::scene::Instance, noun: &str) -> bool {
-    match &instance.given_name {
-        Some(given) => attributes::Lexicon::get().find(given).is_some_and(|own| own.name == noun),
-        None => instance.names.iter().any(|guess| guess.name == noun),
-    }
-}
-
 fn better(best: Bond, other: Bond) -> Bond {
     if other.score > best.score { other } else { best }
-}
-
-/// How well each instance has the asked place of an order by distance.
-fn ranked(relation: &Relation, order: &mut [(f32, usize)], fits: &[f32]) -> Vec<(usize, f32)> {
-    order.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)));
-    if relation.kind == RelationKind::Farthest {
-        order.reverse();
-    }
-    nearness_to(&soft_places(order, fits), (relation.rank.max(1) - 1) as f32)
-}
-
-/// For each instance of an order: its index, its place from 0, and how surely it is what is asked for, `0..=1`.
-///
-/// Those ahead count towards the place only as far as they fit themselves: the largest thing that might be a table is seldom a table.
-fn soft_places(order: &[(f32, usize)], fits: &[f32]) -> Vec<(usize, f32, f32)> {
-    let best = order.iter().map(|&(_, t)| fits[t]).fold(f32::EPSILON, f32::max);
-    let mut ahead = 0.0;
-    let place = |&(_, t): &(f32, usize)| {
-        let (place, presence) = (ahead, (fits[t] / best).powi(PRESENCE_POWER));
-        ahead += presence;
-        (t, place, presence.sqrt())
-    };
-    order.iter().map(place).collect()
-}
-
-/// How near each instance stands to the asked place (from 0), weighed by how surely it is what is asked for; scaled so that the best
-/// has 1.
-fn nearness_to(places: &[(usize, f32, f32)], asked: f32) -> Vec<(usize, f32)> {
-    let factor = |&(t, place, presence): &(usize, f32, f32)| (t, presence * NEXT_BEST.powf((place - asked).abs()));
-    let factors: Vec<(usize, f32)> = places.iter().map(factor).collect();
-    let best = factors.iter().map(|f| f.1).fold(f32::EPSILON, f32::max);
-    factors.into_iter().map(|(t, factor)| (t, factor / best)).collect()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn things_with_parts_are_names_of_the_lexicon() {
-        for noun in PARTS.iter().flat_map(|(_, of)| *of) {
-            assert!(attributes::Lexicon::get().nouns().iter().any(|known| known.name == *noun), "{noun}");
-        }
-    }
 }

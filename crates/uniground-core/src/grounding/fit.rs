@@ -12,6 +12,10 @@ use crate::scene::{Instance, Level};
 const BROADER_WORD: f32 = 0.9;
 /// A thing that was given a broader name than the one asked for may be meant.
 const BROADER_NAME: f32 = 0.5;
+/// The name that was given and the one asked for are kinds of one thing: people seldom agree on them.
+const NEAR_NAME: f32 = 0.4;
+/// A kind that is a noun itself, of no more nouns than this, tells what a thing is.
+const NARROW: usize = 12;
 /// Another word for the name that was given.
 const SYNONYM: f32 = 0.95;
 /// A thing that serves a use as others do; one that is named after the use has 1.
@@ -20,6 +24,12 @@ const SERVES_ALIKE: f32 = 0.93;
 const GUESSED: f32 = 0.55;
 /// How well "thing" and "one" fit everything.
 const ANYTHING: f32 = 0.8;
+/// A fit by measures that says something.
+const LIKELY: f32 = 0.35;
+/// What the fit of the others counts where something is called by the noun.
+const NOT_CALLED_SO: f32 = 0.85;
+/// Smaller things are seldom meant by "thing", metres.
+const NOTABLE_M: f32 = 0.1;
 /// A colour that is not there at all leaves this: the scan's light may be odd.
 const WRONG_COLOUR: f32 = 0.02;
 /// An instance may be meant when its fit is at least this share of the best fit.
@@ -41,7 +51,7 @@ pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
         Meaning::Unknown => 0.0,
         Meaning::Anything => {
             if instance.structure.is_none() {
-                ANYTHING
+                ANYTHING * notable(instance)
             } else {
                 0.0
             }
@@ -65,7 +75,17 @@ pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
     };
     let mut fits: Vec<f32> = scene.instances.iter().enumerate().map(fit).collect();
     one_per_place(scene.instances, &mut fits);
+    if let (Meaning::Nouns(nouns), None, true) = (&meaning, scene.appearance, phrase.uses.is_empty()) {
+        called_so_first(nouns, scene.instances, &mut fits);
+    }
     fits
+}
+
+/// "What is on my right?" asks for something one would name, not for a speck or a sliver: by the second of its three sides.
+fn notable(instance: &Instance) -> f32 {
+    let mut sides = instance.aabb.size;
+    sides.as_mut_slice().sort_by(f32::total_cmp);
+    (sides[1] / NOTABLE_M).clamp(0.3, 1.0)
 }
 
 /// How likely an instance is one of `nouns` rather than what its other names say: a table may have a sofa's size.
@@ -76,6 +96,15 @@ fn among_names(fit: f32, nouns: &[&Noun], instance: &Instance) -> f32 {
     }
     let own = fit.max(own);
     if own > 0.0 { own / (own + others) } else { 0.0 }
+}
+
+/// Where something is called by the noun before anything else, what may be one too comes after it.
+fn called_so_first(nouns: &[&Noun], instances: &[Instance], fits: &mut [f32]) {
+    let called =
+        |i: &Instance| i.structure.is_none() && i.names.first().is_some_and(|guess| nouns.iter().any(|noun| noun.name == guess.name));
+    if instances.iter().zip(&*fits).any(|(i, fit)| *fit >= LIKELY && called(i)) {
+        instances.iter().zip(fits).filter(|(i, _)| !called(i)).for_each(|(_, fit)| *fit *= NOT_CALLED_SO);
+    }
 }
 
 /// Weight of the `i`-th meaning of a phrase's noun: 1 for the thing of that name, less for things it is a broader word for. Things
@@ -101,11 +130,21 @@ pub(super) fn given_name_fit(given: &str, phrase: &Phrase, meaning: &Meaning) ->
             }
             // "table" was given and "side table" is asked for: it may be one.
             None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => BROADER_NAME,
+            None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| alike(noun, own)) => NEAR_NAME,
             None => 0.0,
         },
         _ => f32::from(u8::from(last(given) == last(&phrase.head))),
     };
     if fit > 0.0 || phrase.head.is_empty() || !phrase.uses.is_empty() { fit } else { kinship_fit(given, &phrase.head) }
+}
+
+/// Whether two nouns are kinds of one narrow kind: an armchair and an office chair are chairs.
+fn alike(a: &Noun, b: &Noun) -> bool {
+    let one = |kind: &String| {
+        let nouns = Lexicon::get().find_all(kind);
+        nouns.len() <= NARROW && nouns.first().is_some_and(|noun| noun.name == *kind)
+    };
+    a.kinds.iter().any(|kind| b.kinds.contains(kind) && one(kind))
 }
 
 fn last(words: &str) -> Option<&str> {

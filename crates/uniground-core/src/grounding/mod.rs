@@ -57,7 +57,7 @@ pub struct Question {
     pub observer: Option<Observer>,
     /// The target's class, where it is given with the question: only in an evaluation done the paper's way.
     pub target_name: Option<String>,
-    /// Least belief for an answer, `0..=1`; below it nothing is chosen.
+    /// Least belief for an answer, `0..=1`; below it the answer is uncertain.
     pub min_confidence: f32,
 }
 

@@ -15,6 +15,26 @@ pub struct Room {
     pub outline: Solid,
     /// Boxes of the instances flagged as walls; may be empty.
     pub walls: Vec<Solid>,
+    /// Pairs of walls that meet at an angle, by index.
+    corners: Vec<(usize, usize)>,
+}
+
+impl Room {
+    /// A room with this outline and these walls.
+    #[must_use]
+    pub fn new(outline: Solid, walls: Vec<Solid>) -> Self {
+        const MEET_M: f32 = 0.4;
+        const AT_AN_ANGLE: f32 = 0.5;
+        let meet = |a: &Solid, b: &Solid| along(a).perp(&along(b)).abs() > AT_AN_ANGLE && a.horizontal_gap(b) < MEET_M;
+        let pairs = (0..walls.len()).flat_map(|i| (i + 1..walls.len()).map(move |j| (i, j)));
+        let corners = pairs.filter(|&(i, j)| meet(&walls[i], &walls[j])).collect();
+        Self { outline, walls, corners }
+    }
+}
+
+/// The direction of the longer side.
+fn along(solid: &Solid) -> Vector2<f32> {
+    if solid.size[0] >= solid.size[1] { solid.axis } else { Vector2::new(-solid.axis.y, solid.axis.x) }
 }
 
 /// Score of `target` standing in a relation to `anchors`; [`RelationKind::Between`] takes two, the room relations none, all others one.
@@ -39,6 +59,15 @@ pub fn score(kind: RelationKind, target: &Solid, anchors: &[&Solid], directions:
                     FROM_THE_MIDDLE * horizontal_between(&room.outline, anchor).map_or(0.0, |out| beside(target, anchor, &(-sign * out))),
                 ),
             }
+        }
+        (RelationKind::LeftOf | RelationKind::RightOf, [anchor, ..]) if !directions.of_somebody => {
+            let told = pairwise(kind, target, anchor, directions);
+            // Nobody tells from where: people face the thing, from its front or from the middle of the room.
+            let ahead = own_front(anchor, room).map(|front| -front).or_else(|| horizontal_between(&room.outline, anchor));
+            let faced = ahead
+                .and_then(Directions::looking_along)
+                .map_or(0.0, |directions| pairwise(kind, target, anchor, &directions));
+            told.max(FROM_THE_MIDDLE * faced)
         }
         (_, [anchor, ..]) => pairwise(kind, target, anchor, directions),
         (_, []) => 0.0,
@@ -79,20 +108,28 @@ const FROM_THE_MIDDLE: f32 = 0.85;
 /// What the convention's front counts where the thing has a front of its own.
 const AGAINST_OWN_FRONT: f32 = 0.5;
 
-/// Away from the wall a thing stands against; `None` in the open and, unless the thing is long, in corners of the room.
+/// Away from the wall a thing stands against, a side of the room or a wall within; `None` in the open and, unless the thing is long, in corners.
 fn own_front(anchor: &Solid, room: &Room) -> Option<Vector3<f32>> {
     const AT_THE_WALL_M: f32 = 0.35;
     const NEXT_WALL_M: f32 = 0.3;
-    let gaps = side_gaps(anchor, room);
-    let nearest = (0..4).min_by(|&a, &b| gaps[a].total_cmp(&gaps[b]))?;
+    let [a, b] = room_axes(room);
+    let sides = side_gaps(anchor, room).into_iter().zip([a, -a, b, -b]);
+    let inwards = |wall: &Solid| {
+        let across = Vector2::new(-along(wall).y, along(wall).x);
+        across * (anchor.center - wall.center).xy().dot(&across).signum()
+    };
+    let walls = room.walls.iter().map(|wall| (anchor.horizontal_gap(wall), inwards(wall)));
+    let backs: Vec<(f32, Vector2<f32>)> = sides.chain(walls).collect();
+    let (gap, front) = *backs.iter().min_by(|x, y| x.0.total_cmp(&y.0))?;
+    let other = backs
+        .iter()
+        .filter(|(_, other)| other.dot(&front).abs() < 0.5)
+        .map(|(gap, _)| *gap)
+        .fold(f32::INFINITY, f32::min);
     let flat = anchor.sides().0 > 2.0 * anchor.sides().1;
-    let other = (0..4).filter(|&i| i / 2 != nearest / 2).map(|i| gaps[i]).fold(f32::INFINITY, f32::min);
-    let long = if anchor.size[0] >= anchor.size[1] { anchor.axis } else { Vector2::new(-anchor.axis.y, anchor.axis.x) };
-    let axis = room_axes(room)[nearest / 2];
     // In a corner only a long thing tells which wall it has at its back.
-    let clear = other > gaps[nearest] + NEXT_WALL_M || flat && long.dot(&axis).abs() < 0.3;
-    let inwards = if nearest % 2 == 0 { axis } else { -axis };
-    (gaps[nearest] <= AT_THE_WALL_M && clear).then(|| Vector3::new(inwards.x, inwards.y, 0.0))
+    let clear = other > gap + NEXT_WALL_M || flat && along(anchor).dot(&front).abs() < 0.3;
+    (gap <= AT_THE_WALL_M && clear).then(|| Vector3::new(front.x, front.y, 0.0))
 }
 
 /// 1 at zero, one half at `half`, towards 0 beyond.
@@ -232,11 +269,13 @@ pub fn against_wall(target: &Solid, room: &Room) -> f32 {
     side_gaps(target, room).into_iter().map(|g| fade(g, 0.3)).chain(walls).fold(0.0, f32::max)
 }
 
-/// Close to two sides of the room that meet.
+/// Close to two sides of the room, or two walls, that meet: rooms may be L-shaped.
 #[must_use]
 pub fn in_corner(target: &Solid, room: &Room) -> f32 {
     let [a, b, c, d] = side_gaps(target, room).map(|g| fade(g, 0.5));
-    a.max(b) * c.max(d)
+    let near = |wall: usize| fade(target.horizontal_gap(&room.walls[wall]), 0.5);
+    let meeting = room.corners.iter().map(|&(i, j)| near(i) * near(j)).fold(0.0, f32::max);
+    meeting.max(a.max(b) * c.max(d))
 }
 
 /// Near the middle of the room's outline, measured by the room's size.
@@ -284,7 +323,7 @@ mod tests {
     }
 
     fn room() -> Room {
-        Room { outline: boxed([0.0, 0.0, 1.3], [6.0, 5.0, 2.6]), walls: vec![boxed([0.0, 2.55, 1.3], [6.0, 0.1, 2.6])] }
+        Room::new(boxed([0.0, 0.0, 1.3], [6.0, 5.0, 2.6]), vec![boxed([0.0, 2.55, 1.3], [6.0, 0.1, 2.6])])
     }
 
     #[test]
@@ -312,6 +351,30 @@ mod tests {
         assert!(in_corner(&cube(0.0, 2.2, 0.3, 0.5), &room) < 0.1 && against_wall(&cube(0.0, 2.2, 0.3, 0.5), &room) > 0.9);
         assert!(against_wall(&cube(0.0, 0.0, 0.3, 0.5), &room) < 0.1);
         assert!(in_middle(&cube(0.2, -0.2, 0.3, 0.5), &room) > 0.8 && in_middle(&cube(2.7, 2.2, 0.3, 0.5), &room) < 0.1);
+    }
+
+    #[test]
+    fn corners_within_the_outline_are_corners() {
+        // An L-shaped room: two walls meet at (0, 0.5), in the middle of its outline.
+        let walls = vec![boxed([-1.5, 0.5, 1.3], [3.0, 0.1, 2.6]), boxed([0.0, 1.5, 1.3], [0.1, 2.0, 2.6])];
+        let l_shaped = Room::new(room().outline, walls);
+        let thing = cube(0.4, 0.8, 0.25, 0.5);
+        assert!(in_corner(&thing, &l_shaped) > 0.8 && in_corner(&thing, &room()) < 0.1);
+        assert!(in_corner(&cube(1.5, 0.5, 0.25, 0.5), &l_shaped) < 0.2);
+        // A long shelf at the inner wall has its back there.
+        let shelf = boxed([-1.5, 0.3, 0.9], [1.2, 0.3, 1.8]);
+        assert!(own_front(&shelf, &l_shaped).is_some_and(|front| front.y < -0.9) && own_front(&shelf, &room()).is_none());
+    }
+
+    #[test]
+    fn who_does_not_say_from_where_faces_the_thing() {
+        // Left of a bookcase at the wall at +Y, for who faces it, is -X; the paper's left is +X.
+        let bookcase = boxed([0.0, 2.3, 1.0], [0.8, 0.4, 2.0]);
+        let left =
+            |x: f32| score(RelationKind::LeftOf, &cube(x, 2.2, 0.25, 0.4), &[&bookcase], &DirectionConvention::Paper.into(), &room());
+        assert!(left(0.9) > left(-0.9) && left(-0.9) > 0.5, "{} {}", left(0.9), left(-0.9));
+        let seen = Directions::looking_along(Vector3::y()).unwrap();
+        assert_eq!(score(RelationKind::LeftOf, &cube(0.9, 2.2, 0.25, 0.4), &[&bookcase], &seen, &room()), 0.0);
     }
 
     #[test]
@@ -351,7 +414,7 @@ mod tests {
         fn scores_are_scores_and_turn_with_the_world(a in any_solid(), b in any_solid(), c in any_solid(), by in -3.0_f32..3.0) {
             let room = room();
             let directions: Directions = DirectionConvention::Viewer.into();
-            let turned_room = Room { outline: turned(&room.outline, by), walls: room.walls.iter().map(|w| turned(w, by)).collect() };
+            let turned_room = Room::new(turned(&room.outline, by), room.walls.iter().map(|w| turned(w, by)).collect());
             let turn = nalgebra::Rotation3::from_axis_angle(&Vector3::z_axis(), by);
             let turned_directions = Directions { right: turn * directions.right, front: turn * directions.front, of_somebody: false };
             let (ta, tb, tc) = (turned(&a, by), turned(&b, by), turned(&c, by));
@@ -365,7 +428,7 @@ mod tests {
 
         #[test]
         fn opposites_mirror_each_other(a in any_solid(), b in any_solid()) {
-            let directions: Directions = DirectionConvention::Viewer.into();
+            let directions = Directions { of_somebody: true, ..DirectionConvention::Viewer.into() };
             let of = |kind: RelationKind, x: &Solid, y: &Solid| score(kind, x, &[y], &directions, &room());
             for kind in [RelationKind::LeftOf, RelationKind::Above] {
                 prop_assert!((of(kind, &a, &b) - of(kind.inverse(), &b, &a)).abs() < 1e-5, "{kind:?}");

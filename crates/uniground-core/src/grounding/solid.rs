@@ -1,7 +1,7 @@
 //! An instance as relations see it: an upright box with a yaw, and distances that do not depend on how the world is turned.
 
 use crate::geometry::boxes::{Aabb, OrientedBox};
-use crate::geometry::{Point2, Point3, Vector2};
+use crate::geometry::{Point2, Point3, Vector2, Vector3};
 use crate::scene::Instance;
 
 /// An upright box. Metres, world frame (Z up).
@@ -73,6 +73,15 @@ impl Solid {
     #[must_use]
     pub fn sides(&self) -> (f32, f32) {
         (self.size[0].max(self.size[1]), self.size[0].min(self.size[1]))
+    }
+
+    /// How far a point is from the middle towards the end of the footprint along `direction` (unit): 0 at the middle and beyond on the other
+    /// side, 1 from half the way on.
+    #[must_use]
+    pub fn share_along(&self, point: &Point3<f32>, direction: &Vector3<f32>) -> f32 {
+        let along = |p: &Point2<f32>| (p - self.center.xy()).dot(&direction.xy());
+        let half = self.corners.iter().map(along).fold(1e-3, f32::max);
+        (2.0 * along(&point.xy()) / half).clamp(0.0, 1.0)
     }
 
     /// Shortest distance between the surfaces, metres; 0 when they touch or overlap.
@@ -165,7 +174,6 @@ fn to_segment(p: &Point2<f32>, a: &Point2<f32>, b: &Point2<f32>) -> f32 {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
-    use crate::geometry::Vector3;
     use proptest::prelude::*;
 
     pub fn turned(solid: &Solid, by: f32) -> Solid {

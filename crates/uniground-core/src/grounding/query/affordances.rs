@@ -183,6 +183,12 @@ fn names_a_purpose(words: &[&str], opener: usize) -> bool {
     !is_thing(words[opener - 1]) || words[opener..].iter().take(SOON).any(|word| is_purpose(word))
 }
 
+/// Whether some use is said with this verb.
+pub(super) fn is_verb_of_a_use(word: &str) -> bool {
+    let stem = stem(word);
+    WORDINGS.values().flatten().any(|wording| wording.needed.first() == Some(&stem))
+}
+
 fn is_thing(word: &str) -> bool {
     matches!(word, "something" | "anything" | "thing" | "things" | "object" | "item" | "device")
 }

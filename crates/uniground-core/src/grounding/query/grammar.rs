@@ -1,10 +1,13 @@
 //! Words to phrases: a left-to-right reading with a stack of open phrases, the innermost on top.
 
 mod closing;
+mod opening;
 
 use super::affordances::{self, Affordance};
+use super::corrections;
+use super::languages;
 use super::observers;
-use super::pieces::{Piece, address, is_bare_noun, is_filler, noun_to_come, pieces, structural};
+use super::pieces::{Piece, address, is_bare_noun, is_filler, noun_to_come, pieces};
 use super::rewrites::rewritten;
 use super::tokens::tokens;
 use super::words::{self, Meaning};
@@ -33,6 +36,8 @@ enum Role {
         absent: bool,
     },
     View(Look),
+    /// What somebody sits at and looks at.
+    Seated,
     /// One too many: heard, but not used.
     Surplus,
 }
@@ -48,12 +53,16 @@ struct Frame {
     unknown: Vec<String>,
     /// An article after the noun: what follows is another thing, in no relation that was understood.
     another: bool,
+    /// "a", "an", "some" before the noun.
+    indefinite: bool,
 }
 
 /// Reads a query. Never fails: what is not understood is listed.
 #[must_use]
 pub fn parse(query: &str) -> ParsedQuery {
-    let tokens = observers::rewritten(&rewritten(tokens(query)));
+    let tokens = tokens(query);
+    let foreign = languages::is_foreign(&tokens);
+    let tokens = observers::rewritten(&rewritten(corrections::rewritten(tokens)));
     let tokens = &tokens[address(&tokens)..];
     let affordance = affordances::find(tokens);
     let (described, rest) = affordance
@@ -64,6 +73,7 @@ pub fn parse(query: &str) -> ParsedQuery {
     let mut nearest = read(Attach::Nearest);
     let target = read(Attach::Target);
     nearest.other_reading = (target.target != nearest.target).then_some(target.target);
+    nearest.foreign = foreign;
     nearest
 }
 
@@ -126,6 +136,8 @@ impl Reader {
         for (i, piece) in pieces.iter().enumerate() {
             match piece {
                 Piece::Noun(head) => self.noun(head, &pieces[i + 1..]),
+                // "that is not plastic": nobody can check it, but it is not the next thing that is denied.
+                Piece::Unknown(word) if std::mem::take(&mut self.negated) => self.query.not_understood.push(format!("not {word}")),
                 Piece::Unknown(word) => self.top().unknown.push(word.clone()),
                 Piece::Break if self.describes() && noun_to_come(&pieces[i + 1..]) => {}
                 Piece::Break => self.pause(),
@@ -211,7 +223,8 @@ impl Reader {
                 self.number = None;
                 self.push(Role::With { absent });
             }
-            Meaning::View(look) => self.view(look, text),
+            Meaning::View(look) => self.view(Role::View(look), text),
+            Meaning::Seated => self.view(Role::Seated, text),
             Meaning::Entering => {
                 let anchor = Phrase { head: "door".into(), ..Phrase::default() };
                 self.looked(Look::From, anchor);
@@ -261,6 +274,7 @@ impl Reader {
             Meaning::Determiner => {
                 let of = self.of;
                 let frame = self.top();
+                frame.indefinite |= frame.is_empty() && matches!(text, "a" | "an" | "some" | "any");
                 let another = !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
                 frame.another = another;
                 if another && self.awaits_target() {
@@ -301,8 +315,12 @@ impl Reader {
                 }
             }
             // "when you look at the tv from the sofa"
-            "from" if self.stack.last().is_some_and(|f| matches!(f.role, Role::View(Look::Facing))) => {
-                let keep = usize::from(self.stack.first().is_some_and(|f| !matches!(f.role, Role::View(_)) && !f.phrase.is_empty()));
+            "from" if self.stack.last().is_some_and(|f| matches!(f.role, Role::View(Look::Facing) | Role::Seated)) => {
+                let keep = usize::from(
+                    self.stack
+                        .first()
+                        .is_some_and(|f| !matches!(f.role, Role::View(_) | Role::Seated) && !f.phrase.is_empty()),
+                );
                 self.unwind(keep);
                 self.push(Role::View(Look::From));
             }
@@ -322,106 +340,6 @@ impl Reader {
     fn awaits_target(&self) -> bool {
         let target = self.stack.first().filter(|frame| frame.role == Role::Target);
         self.stack.len() > 1 && target.is_some_and(|frame| frame.phrase.head.is_empty() && frame.phrase.uses.is_empty())
-    }
-
-    fn relation(&mut self, kind: RelationKind, text: &str) {
-        // "between the sofa and next to the lamp", "on the": an anchor that never came.
-        while self.stack.len() > 1 && self.stack.last().is_some_and(Frame::is_empty) {
-            let joined = self.stack.last().is_some_and(|f| f.role == Role::Anchor { joined: true });
-            self.pop();
-            if joined {
-                self.unwind(1);
-            }
-        }
-        if self.stack.is_empty() {
-            self.top();
-        }
-        // The floor has no place of its own: "on the floor next to the sofa" speaks of the thing.
-        if self
-            .stack
-            .last()
-            .is_some_and(|f| matches!(f.role, Role::Anchor { .. }) && structural(&f.phrase.head))
-        {
-            self.unwind(1);
-        }
-        // Comparisons single out the target; the rest belongs to the last thing, or to the target, by reading.
-        let of_a_view = self.awaits_target() && self.stack[1..].iter().any(|frame| matches!(frame.role, Role::View(_)));
-        if self.stack.len() > 1 && !of_a_view && (self.attach == Attach::Target || kind.is_comparison() || self.stack[0].phrase.is_empty())
-        {
-            self.unwind(1);
-        }
-        self.relations += 1;
-        if self.relations > MAX_RELATIONS {
-            self.query.not_understood.push(text.to_owned());
-            self.unwind(1);
-            return self.push(Role::Surplus);
-        }
-        let negated = std::mem::take(&mut self.negated);
-        let rank = if kind.is_comparison() { self.ordinal.take().unwrap_or(1) } else { 1 };
-        let relation = Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated, rank };
-        self.top().phrase.relations.push(relation);
-        if !kind.is_of_the_room() {
-            self.push(Role::Anchor { joined: false });
-        }
-    }
-
-    /// "facing the window, the curtain": how somebody looks; after a noun ("the chair facing the window") a relation of that thing.
-    fn view(&mut self, look: Look, text: &str) {
-        // "the chair facing the window", "the chair standing by the door": of the thing, not of somebody.
-        let after_noun = self.stack.last().is_some_and(|f| f.role != Role::View(Look::From) && !f.phrase.head.is_empty());
-        let somebody = ["you", "i ", "when", "while", "seen", "viewed", "perspective", "view", "your", "my", "as "]
-            .iter()
-            .any(|word| text.contains(word));
-        if after_noun && !somebody {
-            let kind = if text == "facing" || text == "facing towards" || text == "facing toward" {
-                RelationKind::Facing
-            } else {
-                RelationKind::Near
-            };
-            return self.relation(kind, text);
-        }
-        let keep = usize::from(self.stack.first().is_some_and(|f| !f.phrase.is_empty()));
-        self.unwind(keep);
-        self.push(Role::View(look));
-    }
-
-    /// "the tallest bookcase", "the one on the left": an extreme; with "of" behind it, the sides become relations.
-    fn superlative(&mut self, measure: Measure, text: &str, rest: &[Piece]) {
-        let followed_by_of = matches!(rest.first(), Some(Piece::Word(Meaning::Of, _)));
-        let side = match measure {
-            Measure::Leftmost => Some(RelationKind::LeftOf),
-            Measure::Rightmost => Some(RelationKind::RightOf),
-            Measure::Frontmost => Some(RelationKind::InFrontOf),
-            Measure::Backmost => Some(RelationKind::Behind),
-            Measure::Highest => Some(RelationKind::On),
-            Measure::Lowest | Measure::Middle => Some(RelationKind::Inside),
-            _ => None,
-        };
-        // "the back of the chair" is the chair.
-        if followed_by_of && text.starts_with("the ") && self.stack.last().is_none_or(Frame::is_empty) {
-            return;
-        }
-        if let Some(kind) = side.filter(|_| followed_by_of) {
-            return self.relation(kind, text);
-        }
-        // "from the door, the first chair on the left": of those to the left, the one met first.
-        if let Some(kind) = side.filter(|k| matches!(k, RelationKind::LeftOf | RelationKind::RightOf))
-            && self.query.standpoint.is_some()
-            && let Some(rank) = self.ordinal.take()
-        {
-            let relation = |kind, rank| Relation { kind, text: text.to_owned(), anchors: Vec::new(), negated: false, rank };
-            self.from_here.extend([relation(kind, 1), relation(RelationKind::Closest, rank)]);
-            return;
-        }
-        // "facing the wall left monitor"
-        if matches!(text, "left" | "right") && self.awaits_target() {
-            self.unwind(1);
-        }
-        let rank = self.ordinal.take().unwrap_or(1);
-        let superlative = Some(Superlative { measure, rank });
-        // "the tallest bookcase" speaks of what follows, "the mug ... on the left" of the target.
-        let of_what_follows = self.stack.last().is_some_and(|f| f.phrase.head.is_empty());
-        if of_what_follows { self.top().phrase.superlative = superlative } else { self.bottom().superlative = superlative }
     }
 
     fn and(&mut self) {
@@ -487,7 +405,7 @@ const ITSELF: &str = "it";
 
 impl Frame {
     fn new(role: Role) -> Self {
-        Self { phrase: Phrase::default(), role, unknown: Vec::new(), another: false }
+        Self { phrase: Phrase::default(), role, unknown: Vec::new(), another: false, indefinite: false }
     }
 
     fn is_empty(&self) -> bool {

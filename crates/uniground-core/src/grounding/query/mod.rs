@@ -4,7 +4,9 @@
 //! may read instead ([`VlmParser`]): one call, checked, with the grammar to fall back on.
 
 mod affordances;
+mod corrections;
 mod grammar;
+mod languages;
 mod observers;
 mod parsers;
 mod pieces;
@@ -33,6 +35,8 @@ pub struct ParsedQuery {
     pub standpoint: Option<Phrase>,
     /// Whether one thing is asked for, or several.
     pub quantity: Quantity,
+    /// Most words are of another language than English: what else is here means little.
+    pub foreign: bool,
     /// Words that could not be used or checked, and nouns the lexicon does not know.
     pub not_understood: Vec<String>,
 }
@@ -122,6 +126,8 @@ pub struct Phrase {
     pub with: Vec<With>,
     /// All of them must hold. Their anchors are phrases with relations of their own.
     pub relations: Vec<Relation>,
+    /// "a stand": any such thing, said of anchors only.
+    pub indefinite: bool,
     /// "the largest", "the second from the left".
     pub superlative: Option<Superlative>,
 }

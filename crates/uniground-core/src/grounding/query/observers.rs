@@ -102,12 +102,15 @@ fn clause(tokens: &[String], starts: bool, somebody: bool) -> Option<(&'static [
     if starts && !opened && !subject && !goes_on && (act != Act::Be && !word(i).ends_with("ing")) {
         return None;
     }
+    let sits = word(i).starts_with("sit") || matches!(word(i), "seated" | "sat");
     let plain = matches!(word(i), "face" | "facing" | "watch" | "watching" | "view" | "viewing");
     i += 1;
     while PARTICLES.contains(&word(i)) {
         i += 1;
     }
     match act {
+        // At a table one faces it, on a sofa one has it at one's back.
+        Act::Be if sits && word(i) == "at" => Some((&["when", "you", "sit", "at"], i + 1)),
         Act::Be => at(tokens, i).or((word(i) == "facing" || word(i) == "and" && LOOK.contains(&word(i + 1))).then_some((&[][..], i))),
         Act::Look if plain && !TOWARDS.contains(&word(i)) => Some((&["when", "you", "face"], i)),
         Act::Look if word(i) == "from" => Some((&["when", "you", "stand", "at"], i + 1)),
@@ -169,6 +172,7 @@ mod tests {
             ("coming in through the door, the first desk", "when you come in through the door , the first desk"),
             ("stand in front of the dresser, the photo", "when you face the dresser , the photo"),
             ("if you stand facing the two desks", "when you face the two desks"),
+            ("sitting at the desk, the lamp on the left", "when you sit at the desk , the lamp on the left"),
             ("standing at the door and looking at the radiators", "when you stand at the door when you face the radiators"),
             ("the chair facing the window", "the chair facing the window"),
             ("the cat sitting on the sofa", "the cat sitting on the sofa"),

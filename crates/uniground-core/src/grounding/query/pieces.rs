@@ -64,7 +64,7 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
 }
 
 /// Length in words of the longest noun at the start.
-fn longest_noun(run: &[&str]) -> Option<usize> {
+pub(super) fn longest_noun(run: &[&str]) -> Option<usize> {
     let lexicon = Lexicon::get();
     let is_noun = |n: usize| {
         let candidate = run[..n].join(" ");

@@ -81,9 +81,11 @@ pub(super) fn spelling_of_small_words(word: &str) -> Option<&'static str> {
 /// "sitting" -> "sit", "tells" -> "tell": enough to compare verbs by.
 pub(super) fn stem(word: &str) -> String {
     let undoubled = |stem: &str| {
-        let bytes = stem.as_bytes();
-        match bytes {
-            [.., a, b] if a == b && !matches!(b, b'l' | b's' | b'e') => stem[..stem.len() - 1].to_owned(),
+        let mut from_the_end = stem.chars().rev();
+        match (from_the_end.next(), from_the_end.next()) {
+            (Some(last), Some(before)) if last == before && !matches!(last, 'l' | 's' | 'e') => {
+                stem[..stem.len() - last.len_utf8()].to_owned()
+            }
             _ => stem.to_owned(),
         }
     };

@@ -126,6 +126,7 @@ pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
         viewpoint,
         standpoint: None,
         quantity: Quantity::One,
+        foreign: false,
         not_understood: query.not_understood,
     })
 }
@@ -176,6 +177,7 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
         }
     }
     Ok(Phrase {
+        indefinite: false,
         head,
         uses,
         other_things: Vec::new(),

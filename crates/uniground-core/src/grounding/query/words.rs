@@ -19,6 +19,8 @@ pub(super) enum Meaning {
     As,
     /// How somebody looks; what they look at or from follows.
     View(Look),
+    /// "sitting at": somebody looks at what follows from a seat at it.
+    Seated,
     /// "as you walk in": from the door.
     Entering,
     /// "from the left": an end to count from.
@@ -94,6 +96,7 @@ impl Meaning {
             "same" => Self::Same,
             "as" => Self::As,
             "view" => Self::View(Look::ALL.into_iter().find(|l| l.word() == which)?),
+            "seated" => Self::Seated,
             "entering" => Self::Entering,
             "from_side" => Self::FromSide(Measure::ALL.into_iter().find(|m| m.word() == which)?),
             "superlative" => Self::Superlative(Measure::ALL.into_iter().find(|m| m.word() == which)?),

@@ -3,6 +3,7 @@
 //! Scores come from [`assess`](crate::grounding::assess); here they become a decision: the best instance, a tie, or nothing.
 
 use super::Verdict;
+use super::confidence::{NamesFrom, share_right};
 use super::explanation::{explain, explain_several, explain_tie, relation_words, why_nothing_fits};
 use crate::grounding::assess::{Assessment, Assessor};
 use crate::grounding::direction::Directions;
@@ -24,6 +25,8 @@ const MIN_COLOUR: f32 = 0.42;
 const MIN_SCORE: f32 = 0.12;
 /// Share of the belief that is left where words of the question could not be used: they may have told the thing from its like.
 const NOT_ALL_UNDERSTOOD: f32 = 0.6;
+/// The same where no noun tells what the thing is: anything may stand there.
+const NO_NOUN: f32 = 0.6;
 /// A measured relation that holds less than this does not hold.
 const PLAINLY_AGAINST: f32 = 0.15;
 /// A rival this close in score is as good.
@@ -35,13 +38,20 @@ const OTHER_READING: f32 = 0.92;
 /// Power of the scores that share the belief: the higher, the more the best one has.
 const BELIEF_POWER: i32 = 4;
 
+/// A seat this near to a table is one at it, metres.
+const SEAT_REACH_M: f32 = 1.0;
+
 /// Decides for one question.
 #[must_use]
 pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
+    if parsed.foreign {
+        let why = "The question is not in English, the one language the built-in parser reads; a chat model may read it.".to_owned();
+        return no_match(vec![0.0; assessor.scene.instances.len()], NoMatchReason::NotEnglish, why);
+    }
     let viewpoint = parsed
         .viewpoint
         .as_ref()
-        .and_then(|viewpoint| look(assessor, viewpoint, parsed.standpoint.as_ref()));
+        .and_then(|viewpoint| look(assessor, viewpoint, parsed.standpoint.as_ref(), &parsed.target));
     assessor.looked_at = viewpoint.filter(|_| parsed.viewpoint.as_ref().is_some_and(|v| v.look == Look::Facing));
     let assessment = assessor.assess(&parsed.target);
     let instances = assessor.scene.instances;
@@ -73,7 +83,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !name_matches(&parsed.target, &instances[best]) {
         return no_match(scores, NoMatchReason::Absent, why_nothing_fits(parsed));
     }
-    let several = several(&scores, &order, parsed.quantity);
+    let several = several(&scores, &order, parsed.quantity, &is_called(&parsed.target, instances));
     let tied: Vec<usize> = order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
     let status = if several.is_empty() && tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
     // The reading that won is the one to explain.
@@ -87,8 +97,11 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         _ => explain(assessor, phrase, read, best, viewpoint),
     };
     let mut beliefs = beliefs(&scores);
-    if !parsed.not_understood.is_empty() {
-        beliefs.iter_mut().for_each(|belief| *belief *= NOT_ALL_UNDERSTOOD);
+    let understood = if parsed.not_understood.is_empty() { 1.0 } else { NOT_ALL_UNDERSTOOD };
+    let named = if parsed.target.meaning() == Meaning::Anything { NO_NOUN } else { 1.0 };
+    let encoder = assessor.scene.appearance.is_some();
+    for (belief, instance) in beliefs.iter_mut().zip(instances) {
+        *belief = understood * named * share_right(*belief, NamesFrom::of(instance, encoder));
     }
     Verdict {
         status,
@@ -104,16 +117,31 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
 }
 
 /// Turns the directions to those of somebody who looks as the words say; returns the index of the thing they look by.
-fn look(assessor: &mut Assessor, viewpoint: &Viewpoint, standpoint: Option<&Phrase>) -> Option<usize> {
-    let anchor = assessor.best(&viewpoint.anchor)?;
+fn look(assessor: &mut Assessor, viewpoint: &Viewpoint, standpoint: Option<&Phrase>, target: &Phrase) -> Option<usize> {
     let center = assessor.room().outline.center;
+    let Some(anchor) = assessor.best(&viewpoint.anchor) else {
+        // What they look at was not found: it is where the things asked for are.
+        let stands = standpoint.and_then(|phrase| assessor.best(phrase)).map_or(center, |s| assessor.solids[s].center);
+        if let Some(directions) = assessor
+            .middle_of(target)
+            .and_then(|middle| Directions::looking_along(middle - stands))
+            .filter(|_| viewpoint.look == Look::Facing)
+        {
+            assessor.directions = directions;
+        }
+        return None;
+    };
     // Somebody who stands at a thing and looks at another looks along the line between the two.
     let stands = standpoint
         .filter(|_| viewpoint.look == Look::Facing)
-        .and_then(|phrase| assessor.best(phrase))
+        .and_then(|phrase| {
+            assessor
+                .best(phrase)
+                .filter(|&s| phrase.uses.is_empty() || assessor.solids[s].gap(&assessor.solids[anchor]) < SEAT_REACH_M)
+        })
         .filter(|s| *s != anchor);
     assessor.directions = match stands {
-        Some(s) => Directions::looking_along(assessor.solids[anchor].center - assessor.solids[s].center)?,
+        Some(s) => Directions::of_look(viewpoint.look, &assessor.solids[anchor], &assessor.solids[s].center)?,
         None => Directions::of_look(viewpoint.look, &assessor.solids[anchor], &center)?,
     };
     Some(anchor)
@@ -144,15 +172,18 @@ fn contradicted(target: &Phrase, read: &Assessment, instance: usize) -> bool {
     against || read.own[instance] < MIN_SCORE * read.nouns[instance]
 }
 
-/// All things that are meant where several are asked for: those whose score comes near the best, best first.
-fn several(scores: &[f32], order: &[usize], quantity: Quantity) -> Vec<usize> {
+/// All things that are meant where several are asked for: those whose score comes near the best, best first; where some are called what is
+/// asked for before anything else, only those.
+fn several(scores: &[f32], order: &[usize], quantity: Quantity, is_called: &dyn Fn(usize) -> bool) -> Vec<usize> {
     let most = match quantity {
         Quantity::One => return Vec::new(),
         Quantity::Exactly(count) => count as usize,
         Quantity::All => usize::MAX,
     };
     let best = order.first().map_or(0.0, |&i| scores[i]);
-    order.iter().copied().take_while(|&i| scores[i] >= ALSO_MEANT * best).take(most).collect()
+    let near_best = || order.iter().copied().take_while(|&i| scores[i] >= ALSO_MEANT * best);
+    let some_are_called_so = near_best().any(is_called);
+    near_best().filter(|&i| is_called(i) || !some_are_called_so).take(most).collect()
 }
 
 fn no_match(scores: Vec<f32>, reason: NoMatchReason, explanation: String) -> Verdict {
@@ -188,6 +219,17 @@ fn name_matches(target: &Phrase, instance: &Instance) -> bool {
     }
 }
 
+/// Whether an instance's name, given or first among its guesses, is what the phrase may mean.
+fn is_called<'a>(target: &Phrase, instances: &'a [Instance]) -> impl Fn(usize) -> bool + 'a {
+    let meaning = target.meaning();
+    move |i| match &meaning {
+        Meaning::Nouns(nouns) if instances[i].given_name.is_none() => {
+            instances[i].names.first().is_some_and(|guess| nouns.iter().any(|noun| noun.name == guess.name))
+        }
+        _ => true,
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -196,7 +238,7 @@ mod tests {
     use crate::grounding::direction::{DirectionConvention, Observer};
     use crate::grounding::{Grounding, Question, SceneView, Timings, ground};
     use crate::models::attributes::{self, tests::thing};
-    use crate::scene::{InstanceId, Support};
+    use crate::scene::{InstanceId, Structure, Support};
 
     /// A small room: two sofas, a table with two mugs, a rug.
     fn room() -> Vec<Instance> {
@@ -294,6 +336,7 @@ mod tests {
             ("both sofas", vec![1, 2]),
             ("all the mugs on the table", vec![4, 5]),
             ("the red mugs", vec![4]),
+            ("the tables", vec![3]),
         ] {
             let answer = ask(query);
             let mut found: Vec<u32> = answer.targets.iter().map(|target| target.id.0).collect();
@@ -304,6 +347,38 @@ mod tests {
         assert_eq!((ask("how many fridges do we have").status, ask("the fridges").count), (Status::NoMatch, Some(0)));
         let one = ask("the rug");
         assert_eq!((one.count, one.targets.len(), one.targets[0].id), (None, 1, InstanceId(6)));
+    }
+
+    #[test]
+    fn what_is_on_a_wall_hangs_there() {
+        let mut instances = room();
+        // Books on the table reach higher than the clock on the wall behind them.
+        let wall = Instance { structure: Some(Structure::Wall), ..thing(7, [0.0, 2.1], [6.0, 0.1, 2.6], 0.0, Support::Floor, [200; 3]) };
+        let books = thing(8, [0.0, 1.9], [0.4, 0.25, 1.3], 0.74, Support::Instance { id: InstanceId(3) }, [90, 60, 40]);
+        let clock = thing(9, [1.5, 2.0], [0.3, 0.05, 0.3], 1.4, Support::Wall { id: InstanceId(7) }, [90, 60, 40]);
+        instances.extend([wall, books, clock]);
+        instances.iter_mut().for_each(|i| i.names = attributes::name_guesses(i));
+        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+        let scene = SceneView { instances: &instances, extent, appearance: None };
+        let answer = ground(scene, &Question::of("the highest thing hanging on the wall"));
+        assert_eq!(answer.answer.predicted_id, Some(InstanceId(9)), "{}", answer.answer.explanation);
+    }
+
+    #[test]
+    fn the_place_by_a_thing_on_it_and_a_seat_at_it() {
+        // Sitting at the table on the only seat, which is behind it, +X is on the left.
+        let mut instances = room();
+        let chair = thing(7, [0.0, 2.3], [0.45, 0.45, 0.9], 0.0, Support::Floor, [90, 60, 40]);
+        instances.push(chair);
+        instances.iter_mut().for_each(|i| i.names = attributes::name_guesses(i));
+        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+        let scene = SceneView { instances: &instances, extent, appearance: None };
+        let id = |query: &str| ground(scene, &Question::of(query)).answer.predicted_id.map(|id| id.0);
+        assert_eq!(id("sitting at the table, the mug on the left"), Some(5));
+        assert_eq!(id("facing the table, the mug on the left"), Some(4), "from the middle of the room");
+        assert_eq!(id("facing the table, the mug on the left side of the table"), Some(4));
+        // A piano is nowhere: whoever faces it looks at the mugs.
+        assert_eq!(id("facing the piano, the mug on the left"), Some(4));
     }
 
     #[test]
@@ -333,6 +408,7 @@ mod tests {
             ("the fridge", NoMatchReason::Absent),
             ("the green sofa", NoMatchReason::Absent),
             ("the quux", NoMatchReason::NotRecognised),
+            ("das blaue Sofa neben dem Tisch", NoMatchReason::NotEnglish),
             ("the sofa on the table", NoMatchReason::Elsewhere),
         ] {
             assert_eq!(ask(query).no_match_reason, Some(reason), "{query}");
@@ -352,16 +428,13 @@ mod tests {
     }
 
     #[test]
-    fn who_must_be_sure_gets_no_guess() {
-        let mut answer = ask("the red sofa with the brass studs by the quux");
-        let (chosen, confidence) = (answer.answer.predicted_id, answer.confidence);
-        answer.hold_to(confidence);
-        assert_eq!(answer.status, Status::Grounded);
-        answer.hold_to(confidence + 0.01);
-        assert!((answer.confidence - (1.0 - confidence)).abs() < 1e-6, "for no_match, the belief that nothing fits");
-        assert_eq!((answer.status, answer.no_match_reason), (Status::NoMatch, Some(NoMatchReason::NotSureEnough)));
-        assert!(answer.aabb.is_none() && answer.answer.predicted_id.is_none() && answer.targets.is_empty());
-        assert_eq!(answer.alternatives.first().map(|a| a.id), chosen);
+    fn less_sure_than_asked_is_uncertain_and_else_the_same() {
+        let sure = ask("the red sofa with the brass studs by the quux");
+        let mut answer = sure.clone();
+        answer.hold_to(sure.confidence);
+        assert_eq!(answer, sure);
+        answer.hold_to(sure.confidence + 0.01);
+        assert_eq!(answer, Grounding { status: Status::Uncertain, ..sure });
     }
 
     #[test]

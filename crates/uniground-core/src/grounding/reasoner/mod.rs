@@ -1,6 +1,7 @@
 //! Who decides among the candidates. Built in: names, attributes and relations scored by geometry.
 
 pub mod builtin;
+mod confidence;
 mod explanation;
 
 use super::{NoMatchReason, Status};

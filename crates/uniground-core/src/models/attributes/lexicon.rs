@@ -171,12 +171,19 @@ impl Lexicon {
     /// Nouns for a word that is none of the lexicon: those it is a kind of, else those that are kinds of it; the nearest, most common first.
     #[must_use]
     pub fn akin(&self, word: &str) -> Vec<&Noun> {
-        let kin = |noun: &Noun| match WordNet::get().kinship(word, &noun.name)? {
+        static KINDS: LazyLock<Vec<&[u32]>> =
+            LazyLock::new(|| Lexicon::get().nouns.iter().map(|noun| WordNet::get().kinds_of(&noun.name)).collect());
+        let of_word = WordNet::get().kinds_of(word);
+        if of_word.is_empty() {
+            return Vec::new();
+        }
+        let kin = |kinds: &[u32]| match WordNet::get().kinship_of(of_word, kinds)? {
             Kinship::Same => Some(0),
             Kinship::Narrower(steps) => Some(steps),
             Kinship::Broader(steps) => Some(MAX_STEPS + steps),
         };
-        let mut akin: Vec<(u32, &Noun)> = self.nouns.iter().filter_map(|noun| Some((kin(noun)?, noun))).collect();
+        let of_nouns = self.nouns.iter().zip(KINDS.iter());
+        let mut akin: Vec<(u32, &Noun)> = of_nouns.filter_map(|(noun, kinds)| Some((kin(kinds)?, noun))).collect();
         akin.sort_by(|a, b| a.0.cmp(&b.0).then(b.1.prior.total_cmp(&a.1.prior)));
         let nearest = akin.first().map_or(0, |(steps, _)| *steps);
         let alike = |steps: u32| steps == nearest || nearest > MAX_STEPS;

@@ -50,7 +50,12 @@ impl WordNet {
     /// what describes a thing is passed over: a "folding step stool" is a step stool.
     #[must_use]
     pub fn kinship(&self, a: &str, b: &str) -> Option<Kinship> {
-        let (a, b) = (self.kinds_of(a), self.kinds_of(b));
+        self.kinship_of(self.kinds_of(a), self.kinds_of(b))
+    }
+
+    /// The same for the kinds that two words name.
+    #[must_use]
+    pub fn kinship_of(&self, a: &[u32], b: &[u32]) -> Option<Kinship> {
         let pairs = || a.iter().flat_map(|&a| b.iter().map(move |&b| (a, b)));
         if pairs().any(|(a, b)| a == b) {
             return Some(Kinship::Same);
@@ -86,7 +91,8 @@ impl WordNet {
     }
 
     /// The kinds a word names; of a longer name, those of its last words that are known.
-    fn kinds_of(&self, name: &str) -> &[u32] {
+    #[must_use]
+    pub fn kinds_of(&self, name: &str) -> &[u32] {
         let words: Vec<&str> = name.split_whitespace().collect();
         (0..words.len())
             .find_map(|start| singulars(&words[start..].join(" ")).iter().find_map(|word| self.of_word.get(word.as_str())))
@@ -132,8 +138,9 @@ impl WordNet {
 
 /// "sitt" of "sitting" is "sit".
 fn undoubled(stem: &str) -> &str {
-    match stem.as_bytes() {
-        [.., a, b] if a == b => &stem[..stem.len() - 1],
+    let mut from_the_end = stem.chars().rev();
+    match (from_the_end.next(), from_the_end.next()) {
+        (Some(last), Some(before)) if last == before => &stem[..stem.len() - last.len_utf8()],
         _ => stem,
     }
 }
@@ -159,7 +166,7 @@ mod tests {
         for word in ["tones", "bedside", "lounge", "squiggles", "sitting", "brewing", "carved", "stripier", "wakes"] {
             assert!(WordNet::get().is_english(word), "{word}");
         }
-        for word in ["somethng", "refrigeratr", "bookcse", "tabel", "wardorbe"] {
+        for word in ["\u{1128a}\u{1128a}ing", "somethng", "refrigeratr", "bookcse", "tabel", "wardorbe"] {
             assert!(!WordNet::get().is_english(word), "{word}");
         }
     }

@@ -6,6 +6,9 @@ use crate::grounding::query::words;
 use crate::grounding::query::{Look, ME, Meaning, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Viewpoint, With};
 use crate::models::attributes::Lexicon;
 
+/// The use of seats in the lexicon.
+const SIT_ON: &str = "sit on";
+
 impl Reader {
     /// The query, once every piece is read.
     pub(super) fn finish(mut self) -> ParsedQuery {
@@ -66,7 +69,7 @@ impl Reader {
 
     /// Closes the innermost phrase and puts it where it belongs.
     pub(super) fn pop(&mut self) {
-        let Some(Frame { mut phrase, role, unknown, another: _ }) = self.stack.pop() else { return };
+        let Some(Frame { mut phrase, role, unknown, another: _, indefinite }) = self.stack.pop() else { return };
         // "the nearer of the two": compared with what? With where somebody stands.
         if matches!(role, Role::Anchor { .. })
             && phrase.is_empty()
@@ -81,6 +84,7 @@ impl Reader {
         if phrase.is_empty() {
             return;
         }
+        phrase.indefinite = indefinite && matches!(role, Role::Anchor { .. });
         match role {
             Role::Target => self.target = Some(phrase),
             Role::More => self.add_to_target(phrase),
@@ -96,6 +100,13 @@ impl Reader {
             }
             Role::Surplus => self.query.not_understood.push(phrase.head),
             Role::View(look) => self.looked(look, phrase),
+            Role::Seated => {
+                let anchors = vec![phrase.clone()];
+                let at = Relation { kind: RelationKind::Near, text: "at".into(), anchors, negated: false, rank: 1 };
+                let seat = Phrase { head: "something".into(), uses: vec![SIT_ON.into()], relations: vec![at], ..Phrase::default() };
+                self.query.standpoint = Some(seat);
+                self.looked(Look::Facing, phrase);
+            }
         }
     }
 
@@ -113,7 +124,10 @@ impl Reader {
     /// A phrase without a known noun ends in a noun that is misspelt, or that nobody knows: "the theremin".
     fn settle_head(&mut self, phrase: &mut Phrase, mut unknown: Vec<String>, role: Role) {
         if phrase.head.is_empty() && phrase.uses.is_empty() && role != Role::More {
-            if let Some(word) = unknown.pop() {
+            // "the cat sleeping on the sofa" is a cat.
+            let noun = unknown.iter().rposition(|word| !word.ends_with("ing") && !word.contains(' '));
+            let last = unknown.len().checked_sub(1);
+            if let Some(word) = noun.or(last).map(|i| unknown.remove(i)) {
                 phrase.head = spelling(&word).map_or(word, str::to_owned);
             }
             phrase.unchecked.append(&mut unknown);
