@@ -4,7 +4,7 @@ use crate::chat::ReplayCache;
 use crate::config::ServeConfig;
 use crate::http::{self, AllowedHosts, App, MAX_EVENT_STREAMS};
 use crate::jobs::{JobKind, Jobs};
-use crate::service::{NamingJob, ParseJob, Service, Vlm, VlmSettings};
+use crate::service::{BatchJob, NamingJob, ParseJob, Service, Vlm, VlmSettings};
 use crate::store::Store;
 use anyhow::Context;
 use std::net::SocketAddr;
@@ -57,10 +57,11 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
 
     let shutdown = CancellationToken::new();
     let lane_ended = CancellationToken::new();
-    jobs.refuse_unknown_kinds(&[ParseJob::NAME, NamingJob::NAME]).await?;
+    jobs.refuse_unknown_kinds(&[ParseJob::NAME, NamingJob::NAME, BatchJob::NAME]).await?;
     let lanes = vec![
         start_lane(&jobs, ParseJob(service.clone()), &shutdown, &lane_ended),
         start_lane(&jobs, NamingJob(service.clone()), &shutdown, &lane_ended),
+        start_lane(&jobs, BatchJob(service.clone()), &shutdown, &lane_ended),
     ];
     tokio::spawn(keep_house(service.clone(), shutdown.clone()));
     // With a key, who asks knows it; on an address of the network, the operator has said that anybody may.

@@ -34,6 +34,14 @@ pub enum Error {
     NoEmbeddings { scene_id: String },
     #[error("there is no answer {id}")]
     AnswerNotFound { id: String },
+    #[error("there is no batch {id}")]
+    BatchNotFound { id: String },
+    #[error("batch {id} is {state} and stays so")]
+    BatchOver { id: String, state: String },
+    #[error("a batch has at most {most} questions")]
+    TooManyItems { most: u32 },
+    #[error("an answer could not be kept: it is asked for again")]
+    AnswerNotKept,
     #[error("scene {id} has not been parsed yet")]
     SceneNotReady { id: String, job_id: Option<String> },
     #[error("{pointer}: {detail}")]
@@ -58,7 +66,7 @@ pub enum Error {
     Overloaded,
     #[error("the stored parse is damaged ({what}); it is being made anew from the scan: ask again when the scene's job is done")]
     ParseDamaged { parse_id: String, what: String },
-    #[error("this Idempotency-Key came with another upload before: use a new key for a new scan")]
+    #[error("this Idempotency-Key came with another request before: use a new key for a new one")]
     IdempotencyKeyReused,
     #[error("too many {what} at once: {most} are served")]
     TooMany { what: &'static str, most: usize },
@@ -129,6 +137,7 @@ impl Error {
             Self::Store(_)
                 | Self::Io(_)
                 | Self::Overloaded
+                | Self::AnswerNotKept
                 | Self::VlmFailed { .. }
                 | Self::Jobs(JobsError::Store(_))
                 | Self::Ingest(IngestError::Io { .. })
@@ -203,6 +212,9 @@ impl Error {
             Self::ReportPictureNotFound { .. } => "report_picture_not_found",
             Self::NoEmbeddings { .. } => "no_embeddings",
             Self::AnswerNotFound { .. } => "answer_not_found",
+            Self::BatchNotFound { .. } => "batch_not_found",
+            Self::BatchOver { .. } => "batch_over",
+            Self::TooManyItems { .. } => "too_many_items",
             Self::SceneNotReady { .. } => "scene_not_ready",
             Self::Invalid { .. } => "invalid_request",
             Self::VlmNotConfigured | Self::VlmFailed { .. } => "vlm_unavailable",
@@ -218,7 +230,7 @@ impl Error {
             Self::UploadTooSlow { .. } => "upload_too_slow",
             Self::UploadTooLarge { .. } => "upload_too_large",
             Self::UploadInterrupted { .. } => "upload_interrupted",
-            Self::Store(_) | Self::Io(_) => "storage_failed",
+            Self::Store(_) | Self::Io(_) | Self::AnswerNotKept => "storage_failed",
             Self::Background(_) => "internal",
         }
     }

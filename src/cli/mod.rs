@@ -1,5 +1,6 @@
 //! The command line: one file per subcommand.
 
+mod batch;
 mod demo;
 mod doctor;
 mod eval;
@@ -29,6 +30,8 @@ enum Command {
     Demo(demo::DemoArgs),
     /// Ask a running server one question
     Ground(ground::GroundArgs),
+    /// Ask a running server many questions
+    Batch(batch::BatchArgs),
     /// Cut a scan into instances, without a server
     Parse(parse::ParseArgs),
     /// Score expressions with known answers
@@ -50,6 +53,7 @@ pub fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Serve(config) => asynchronous(serve::run(config)),
         Command::Demo(args) => asynchronous(demo::run(args)),
         Command::Ground(args) => asynchronous(ground::run(args)),
+        Command::Batch(args) => asynchronous(batch::run(args)),
         Command::Parse(args) => parse::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Models(args) => models::run(args),

@@ -2,6 +2,7 @@
 
 mod answers;
 mod auth;
+mod batches;
 mod connections;
 mod extract;
 mod grounding;
@@ -71,6 +72,7 @@ pub const MAX_EVENT_STREAMS: usize = 256;
         (name = "scenes", description = "Scans and their parses"),
         (name = "instances", description = "Objects found in a scene"),
         (name = "grounding", description = "Questions and answers"),
+        (name = "batches", description = "Lists of questions, asked in the background"),
         (name = "jobs", description = "Work in the background"),
         (name = "service", description = "Health")
     ),
@@ -104,6 +106,12 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(jobs::events))
         .routes(routes!(grounding::ground))
         .routes(routes!(grounding::shortlist))
+        .routes(routes!(batches::create, batches::list))
+        .routes(routes!(batches::get))
+        .routes(routes!(batches::results))
+        .routes(routes!(batches::pause))
+        .routes(routes!(batches::resume))
+        .routes(routes!(batches::cancel))
         .routes(routes!(answers::get))
         .routes(routes!(answers::picture))
         .routes(routes!(answers::prompt))

@@ -125,18 +125,19 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::ReportPictureNotFound { .. }
         | Error::NoEmbeddings { .. }
         | Error::AnswerNotFound { .. }
+        | Error::BatchNotFound { .. }
         | Error::NoTranscript { .. }
         | Error::AnswerPictureNotFound { .. } => StatusCode::NOT_FOUND,
-        Error::SceneNotReady { .. } | Error::EncoderChanged { .. } => StatusCode::CONFLICT,
+        Error::SceneNotReady { .. } | Error::EncoderChanged { .. } | Error::BatchOver { .. } => StatusCode::CONFLICT,
         Error::VlmNotConfigured | Error::VlmFailed { .. } | Error::Model(_) => StatusCode::BAD_GATEWAY,
         Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
         Error::Overloaded | Error::TooMany { .. } => StatusCode::TOO_MANY_REQUESTS,
         Error::ParseDamaged { .. } => StatusCode::SERVICE_UNAVAILABLE,
         Error::UploadTooSlow { .. } => StatusCode::REQUEST_TIMEOUT,
-        Error::UploadTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
+        Error::UploadTooLarge { .. } | Error::TooManyItems { .. } => StatusCode::PAYLOAD_TOO_LARGE,
         Error::UploadInterrupted { .. } => StatusCode::BAD_REQUEST,
-        Error::Store(_) | Error::Io(_) | Error::Background(_) => StatusCode::INTERNAL_SERVER_ERROR,
+        Error::Store(_) | Error::Io(_) | Error::AnswerNotKept | Error::Background(_) => StatusCode::INTERNAL_SERVER_ERROR,
     }
 }
 

@@ -4,6 +4,7 @@
 //! what it costs and what is remembered.
 
 mod answers;
+mod batches;
 mod doctor;
 mod housekeeping;
 mod instances;
@@ -13,6 +14,7 @@ mod scenes;
 mod vlm;
 
 pub use answers::usage;
+pub use batches::{BatchJob, Body, ResultFormat, Results, Submission};
 pub use doctor::{Finding, Trouble};
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};

@@ -4,6 +4,7 @@
 //! (`contents`) and at a finished parse of them (`parses`); both are shared by scenes with the same content and settings.
 
 mod answers;
+mod batches;
 mod blobs;
 mod contents;
 mod data_folder;
@@ -18,6 +19,7 @@ mod vlm;
 mod writer;
 
 pub use answers::{AnswerRow, NewAnswer};
+pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, Submitted};
 pub use blobs::{Blobs, Damage, Look, Scratch};
 pub use health::StoreHealth;
 pub use jobs::{JobRow, JobState, NewJob, Recovery};
@@ -118,6 +120,7 @@ impl Store {
     pub async fn open(data_dir: &Utf8Path) -> Result<Self, StoreError> {
         let store = Self::open_as_it_is(data_dir).await?;
         store.forget_unused_rows().await?;
+        store.forget_half_received_batches().await?;
         store.settle_what_was_left().await?;
         // What can not be swept is no reason not to serve.
         if let Err(error) = store.sweep().await {
@@ -152,7 +155,8 @@ impl Store {
         migrations().run(writer.pool()).await?;
         let reader = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
         let newest = "SELECT max(id) FROM (SELECT max(id) AS id FROM scenes UNION ALL SELECT max(id) FROM jobs
-                      UNION ALL SELECT max(id) FROM answers UNION ALL SELECT max(id) FROM parses)";
+                      UNION ALL SELECT max(id) FROM answers UNION ALL SELECT max(id) FROM parses
+                      UNION ALL SELECT max(id) FROM batches)";
         let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
         let answers = AnswerQueue::start(writer.clone());
         let store = Self { reader, writer, answers, ids: Ids::after(newest.as_deref()), blobs, folder };
@@ -201,11 +205,12 @@ impl Store {
 }
 
 /// What brings a database of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 4] = [
+const MIGRATIONS: [(i64, &str, &str); 5] = [
     (1, "scenes parses jobs answers", include_str!("../../migrations/0001_scenes_parses_jobs_answers.sql")),
     (2, "instance names spending", include_str!("../../migrations/0002_instance_names_spending.sql")),
     (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
     (4, "nothing lost", include_str!("../../migrations/0004_nothing_lost.sql")),
+    (5, "batches", include_str!("../../migrations/0005_batches.sql")),
 ];
 
 fn migrations() -> Migrator {

@@ -8,6 +8,7 @@
 mod access;
 mod archives;
 mod bad_input;
+mod batches;
 mod chat_models;
 mod conventions;
 mod evaluation;

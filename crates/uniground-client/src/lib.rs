@@ -22,6 +22,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 pub use uniground_types as types;
 use uniground_types::answer::{Answer, Shortlisted};
+use uniground_types::batch::{Batch, BatchList, BatchRequest, BatchResult};
 use uniground_types::instances::{InstanceList, InstanceView, Levels};
 use uniground_types::job::Job;
 use uniground_types::problem::{FieldError, Problem};
@@ -189,6 +190,83 @@ impl Client {
     /// [`ClientError`].
     pub async fn shortlist(&self, scene_id: &str, request: &ShortlistRequest) -> Result<Shortlisted, ClientError> {
         json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/shortlist")).json(request)).await
+    }
+
+    /// Submits a list of questions; the same `key` again returns the batch it made.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn create_batch(&self, batch: &BatchRequest, key: Option<&str>) -> Result<Batch, ClientError> {
+        let request = self.request(Method::POST, "v1/batches").json(batch);
+        json(key.into_iter().fold(request, |request, key| request.header("idempotency-key", key))).await
+    }
+
+    /// Submits a list of questions as JSONL, an item a line, streamed; `query` as the API describes it: `scene_id`, `label` and the like.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn create_batch_of_lines(
+        &self,
+        lines: impl Into<reqwest::Body>,
+        query: &[(&str, String)],
+        key: Option<&str>,
+    ) -> Result<Batch, ClientError> {
+        let request = self.request(Method::POST, "v1/batches").header("content-type", "application/jsonl").query(query);
+        let request = key.into_iter().fold(request, |request, key| request.header("idempotency-key", key));
+        json(request.body(lines)).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn batch(&self, id: &str) -> Result<Batch, ClientError> {
+        json(self.request(Method::GET, &format!("v1/batches/{id}"))).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<BatchList, ClientError> {
+        let query = [("limit", Some(limit.to_string())), ("cursor", cursor.map(str::to_owned))];
+        json(self.request(Method::GET, "v1/batches").query(&query)).await
+    }
+
+    /// `pause`, `resume` or `cancel`.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn tell_batch(&self, id: &str, what: &str) -> Result<Batch, ClientError> {
+        json(self.request(Method::POST, &format!("v1/batches/{id}/{what}"))).await
+    }
+
+    /// Reads results in the order of the items, from a place on; `follow` waits for those that are still asked. `on_result` gets each line
+    /// as it was sent, and what it says. Returns the place to go on from.
+    ///
+    /// # Errors
+    /// [`ClientError`]; what came before has been told.
+    pub async fn batch_results<E: From<ClientError>>(
+        &self,
+        id: &str,
+        from: u32,
+        follow: bool,
+        mut on_result: impl FnMut(&[u8], BatchResult) -> Result<(), E>,
+    ) -> Result<u32, E> {
+        let request = self
+            .request(Method::GET, &format!("v1/batches/{id}/results"))
+            .query(&[("from", from.to_string()), ("follow", follow.to_string())]);
+        let response = checked(request.send().await.map_err(ClientError::from)?).await?;
+        let (mut chunks, mut buffer, mut next) = (response.bytes_stream(), Vec::new(), from);
+        while let Some(chunk) = chunks.next().await {
+            buffer.extend_from_slice(&chunk.map_err(ClientError::from)?);
+            let mut begin = 0;
+            while let Some(length) = buffer[begin..].iter().position(|&byte| byte == b'\n') {
+                let line = &buffer[begin..=begin + length];
+                let result: BatchResult = serde_json::from_slice(line).map_err(ClientError::from)?;
+                next = result.item + 1;
+                on_result(line, result)?;
+                begin += length + 1;
+            }
+            buffer.drain(..begin);
+        }
+        Ok(next)
     }
 
     /// # Errors

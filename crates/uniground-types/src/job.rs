@@ -60,7 +60,7 @@ impl TryFrom<String> for JobState {
 pub struct Job {
     /// UUIDv7; in order of time.
     pub id: String,
-    /// What it does: `parse`, `naming`.
+    /// What it does: `parse`, `naming`, `batch`.
     pub kind: String,
     /// Where it stands.
     pub state: JobState,
@@ -84,7 +84,7 @@ pub struct Job {
     pub finished_at: Option<String>,
 }
 
-/// Why a job failed; `code` is stable.
+/// Why a job, or an item of a batch, failed; `code` is stable.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct JobError {

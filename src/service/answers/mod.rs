@@ -20,22 +20,37 @@ use uniground_core::models::chat::{Budget, CallRecord, OverBudget};
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
 use uniground_types::question::{DEFAULT_MIN_CONFIDENCE, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
 
+/// Who asks, where it is not somebody who waits for the answer.
+pub(super) struct Asker {
+    /// Of the answer.
+    pub answer_id: String,
+    /// Pays beside the question's own budget and the day's.
+    pub pays: Option<Budget>,
+}
+
 impl Service {
     /// Grounds one question in a parsed scene and keeps the answer.
     ///
     /// # Errors
     /// [`Error`]: unknown or unparsed scene, a question that is none, no model or no money where a model was demanded, overload, time-out.
     pub async fn ground(&self, scene_id: &str, request: GroundRequest) -> Result<Answer, Error> {
+        let asker = Asker { answer_id: self.store.new_id(), pays: None };
+        self.ground_for(scene_id, request, asker).await
+    }
+
+    /// The same for somebody who has chosen the answer's id, or pays.
+    pub(super) async fn ground_for(&self, scene_id: &str, request: GroundRequest, asker: Asker) -> Result<Answer, Error> {
         request.check()?;
         let (scene, parse_id) = self.ready_scene(scene_id).await?;
         let reviewer = self.reviewer(&request)?;
         let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         // A place among those who wait for the model, for as long as the question takes.
         let _place = reviewer.as_ref().map(|vlm| vlm.place()).transpose()?;
-        let budgets = match &self.vlm {
+        let mut budgets = match &self.vlm {
             Some(vlm) => vlm.budgets(&self.store, request.max_cost_usd).await?,
             None => Vec::new(),
         };
+        budgets.extend(asker.pays);
         let ask = self.ask(&request, reviewer, &budgets)?;
         let answered = pipeline::answer(&source, ask);
         let answered = match request.timeout_s {
@@ -46,7 +61,7 @@ impl Service {
         };
         let answered = answered?;
         let version = u32::try_from(scene.parse_version).unwrap_or(0);
-        let mut answer = self.told(&answered, scene.id, version, source.parse.masks.clone());
+        let mut answer = self.told(&answered, asker.answer_id, scene.id, version, source.parse.masks.clone());
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
         match self.keep(&answer, model, &parse_id, answered.calls).await {
             Ok(true) => {}
@@ -153,8 +168,7 @@ impl Service {
     }
 
     /// What came of a question, as callers are told.
-    fn told(&self, answered: &Answered, scene_id: String, parse_version: u32, masks: String) -> Answer {
-        let id = self.store.new_id();
+    fn told(&self, answered: &Answered, id: String, scene_id: String, parse_version: u32, masks: String) -> Answer {
         let Answered { grounding, parsed: _, parser, encoder, reasoner, degraded, corrections, calls } = answered.clone();
         let Grounding {
             query,
@@ -227,6 +241,7 @@ pub fn usage(calls: &[CallRecord]) -> Usage {
         vlm_calls: replies().count() as u32,
         prompt_tokens: replies().map(|reply| reply.prompt_tokens).sum(),
         completion_tokens: replies().map(|reply| reply.completion_tokens).sum(),
-        cost_usd: calls.iter().map(|call| call.cost_usd).sum(),
+        // An empty sum of floats is -0.
+        cost_usd: calls.iter().fold(0.0, |sum, call| sum + call.cost_usd),
     }
 }

@@ -161,15 +161,12 @@ fn purposes(tokens: &mut Vec<String>) {
             .iter()
             .map(|word| format!("{word} {}", tokens[i - 1]))
             .find(|name| lexicon.knows(name) || lexicon.knows(&name.replace(' ', "")));
-        match compound {
-            Some(name) => {
-                let name = if lexicon.knows(&name) { name } else { name.replace(' ', "") };
-                tokens.splice(i - 1..end, name.split(' ').map(str::to_owned));
-            }
-            None => {
-                let purpose = tokens.drain(i..end).collect::<Vec<_>>().join(" ");
-                tokens.insert(i, purpose);
-            }
+        if let Some(name) = compound {
+            let name = if lexicon.knows(&name) { name } else { name.replace(' ', "") };
+            tokens.splice(i - 1..end, name.split(' ').map(str::to_owned));
+        } else {
+            let purpose = tokens.drain(i..end).collect::<Vec<_>>().join(" ");
+            tokens.insert(i, purpose);
         }
         i += 1;
     }

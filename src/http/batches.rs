@@ -1,0 +1,236 @@
+//! `/v1/batches`
+
+use super::App;
+use super::extract::{Json, Path, Query};
+use super::problem::Refused;
+use crate::service::{Body, ResultFormat, Results, Submission};
+use axum::body::{Body as AxumBody, BodyDataStream};
+use axum::extract::{FromRequest, Request, State};
+use axum::http::{HeaderMap, StatusCode, header};
+use axum::response::IntoResponse;
+use serde::Deserialize;
+use serde_json::{Map, Value};
+use uniground_types::batch::{Batch, BatchList, BatchRequest, BatchResult};
+use uniground_types::problem::Problem;
+use utoipa::IntoParams;
+
+/// What JSONL can not say beside its items.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct CreateParameters {
+    /// JSONL only: the scene of lines without one.
+    scene_id: Option<String>,
+    /// JSONL only: for people.
+    #[param(max_length = 200)]
+    label: Option<String>,
+    /// JSONL only: questions asked at once.
+    #[param(minimum = 1, maximum = 64)]
+    concurrency: Option<u32>,
+    /// JSONL only: most that all questions together may cost, US dollars.
+    #[param(minimum = 0)]
+    max_cost_usd: Option<f64>,
+}
+
+/// Submits a list of questions, to be asked in the background.
+///
+/// As JSON, or streamed as JSONL (`application/jsonl`), a question a line: 100,000 lines are no trouble. A first line `{"defaults": {…}}` holds
+/// for all. What is wrong with one question is that item's failure; a line that is no JSON object refuses the whole. Nothing is ever asked
+/// twice: not after a restart, not when the same list is sent again under its `Idempotency-Key`.
+#[utoipa::path(
+    post, path = "/v1/batches", tag = "batches",
+    params(CreateParameters, ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the batch it made")),
+    request_body(content((BatchRequest = "application/json"), (String = "application/jsonl"))),
+    responses(
+        (status = 202, body = Batch),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn create(
+    State(app): State<App>,
+    Query(CreateParameters { scene_id, label, concurrency, max_cost_usd }): Query<CreateParameters>,
+    headers: HeaderMap,
+    request: Request,
+) -> Result<(StatusCode, axum::Json<Batch>), Refused> {
+    let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
+    let idempotency_key = header("idempotency-key").map(str::to_owned);
+    let media_type = header("content-type")
+        .unwrap_or_default()
+        .split(';')
+        .next()
+        .unwrap_or_default()
+        .trim()
+        .to_ascii_lowercase();
+    let batch = match media_type.as_str() {
+        "application/jsonl" | "application/x-ndjson" => {
+            let defaults: Map<String, Value> = scene_id.map(|id| ("scene_id".to_owned(), Value::String(id))).into_iter().collect();
+            let submission = Submission { label, concurrency, max_cost_usd, idempotency_key, defaults };
+            app.service.create_batch(submission, Body::Lines(request.into_body().into_data_stream())).await?
+        }
+        "application/json" => {
+            if scene_id.is_some() || label.is_some() || concurrency.is_some() || max_cost_usd.is_some() {
+                return Err(Refused::invalid(
+                    "query",
+                    "a JSON body says all of this itself: defaults.scene_id, label, concurrency, max_cost_usd",
+                ));
+            }
+            let Json(request) = Json::<BatchRequest>::from_request(request, &()).await?;
+            let (submission, items) = Submission::of(request, idempotency_key);
+            app.service.create_batch(submission, Body::<BodyDataStream>::Items(items)).await?
+        }
+        other => {
+            let detail = format!("a batch is application/json or application/jsonl, not {other:?}");
+            return Err(Refused::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail));
+        }
+    };
+    Ok((StatusCode::ACCEPTED, axum::Json(batch)))
+}
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ListParameters {
+    /// Batches per page.
+    #[serde(default = "default_limit")]
+    #[param(minimum = 1, maximum = 100, default = 20)]
+    limit: u32,
+    /// `next_cursor` of the page before.
+    cursor: Option<String>,
+}
+
+fn default_limit() -> u32 {
+    20
+}
+
+/// Lists batches, newest first.
+#[utoipa::path(
+    get, path = "/v1/batches", tag = "batches", params(ListParameters),
+    responses(
+        (status = 200, body = BatchList),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn list(
+    State(app): State<App>,
+    Query(ListParameters { limit, cursor }): Query<ListParameters>,
+) -> Result<axum::Json<BatchList>, Refused> {
+    if !(1..=100).contains(&limit) {
+        return Err(Refused::invalid("limit", "must be 1 to 100"));
+    }
+    if cursor.as_ref().is_some_and(|cursor| cursor.parse::<uuid::Uuid>().is_err()) {
+        return Err(Refused::invalid("cursor", "must be the next_cursor of the page before"));
+    }
+    Ok(axum::Json(app.service.batches(limit, cursor.as_deref()).await?))
+}
+
+/// A batch as it stands: how far it is, what it cost, how long it will take.
+#[utoipa::path(
+    get, path = "/v1/batches/{batch_id}", tag = "batches", params(("batch_id" = String, Path)),
+    responses(
+        (status = 200, body = Batch),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn get(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
+    Ok(axum::Json(app.service.batch(&batch_id).await?))
+}
+
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ResultParameters {
+    /// The first item wanted: who was cut off goes on here.
+    #[serde(default)]
+    #[param(minimum = 0, default = 0)]
+    from: u32,
+    /// `jsonl` or `csv`.
+    #[serde(default)]
+    #[param(inline)]
+    format: ResultFormat,
+    /// Wait for items that are still asked, to the end of the batch; else the results end at the first that is.
+    #[serde(default)]
+    follow: bool,
+}
+
+/// Results in the order of the items, a line each, as far as they are there.
+#[utoipa::path(
+    get, path = "/v1/batches/{batch_id}/results", tag = "batches", params(("batch_id" = String, Path), ResultParameters),
+    responses(
+        (status = 200, content((BatchResult = "application/jsonl"), (String = "text/csv"))),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn results(
+    State(app): State<App>,
+    Path(batch_id): Path<String>,
+    Query(ResultParameters { from, format, follow }): Query<ResultParameters>,
+) -> Result<impl IntoResponse, Refused> {
+    let media_type = match format {
+        ResultFormat::Jsonl => "application/jsonl",
+        ResultFormat::Csv => "text/csv; charset=utf-8",
+    };
+    let shutdown = app.shutdown.clone().cancelled_owned();
+    let results = app.service.batch_results(Results { batch_id, from, format, follow }).await?;
+    // Who follows a batch does not keep the server from stopping.
+    let results = futures::StreamExt::take_until(results, shutdown);
+    Ok(([(header::CONTENT_TYPE, media_type)], AxumBody::from_stream(results)))
+}
+
+/// Stops asking until somebody resumes it. Questions under way are answered.
+#[utoipa::path(
+    post, path = "/v1/batches/{batch_id}/pause", tag = "batches", params(("batch_id" = String, Path)),
+    responses(
+        (status = 200, body = Batch),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn pause(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
+    Ok(axum::Json(app.service.pause_batch(&batch_id).await?))
+}
+
+/// Goes on with a batch that is paused.
+#[utoipa::path(
+    post, path = "/v1/batches/{batch_id}/resume", tag = "batches", params(("batch_id" = String, Path)),
+    responses(
+        (status = 200, body = Batch),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn resume(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
+    Ok(axum::Json(app.service.resume_batch(&batch_id).await?))
+}
+
+/// Stops asking for good. What is answered stays.
+#[utoipa::path(
+    post, path = "/v1/batches/{batch_id}/cancel", tag = "batches", params(("batch_id" = String, Path)),
+    responses(
+        (status = 200, body = Batch),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = []), ())
+)]
+pub async fn cancel(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
+    Ok(axum::Json(app.service.cancel_batch(&batch_id).await?))
+}

@@ -1,0 +1,325 @@
+//! Batches and their items.
+
+use super::{JobRow, Store, StoreError, now};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{FromRow, Row};
+use std::collections::BTreeMap;
+
+/// A batch as stored.
+#[derive(Debug, Clone, PartialEq)]
+pub struct BatchRow {
+    pub id: String,
+    pub label: Option<String>,
+    pub state: String,
+    pub reason: Option<String>,
+    pub items: u32,
+    pub concurrency: Option<u32>,
+    pub max_cost_usd: Option<f64>,
+    pub job_id: Option<String>,
+    pub request: Option<String>,
+    pub created_at: String,
+    pub finished_at: Option<String>,
+}
+
+impl FromRow<'_, SqliteRow> for BatchRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            id: row.try_get("id")?,
+            label: row.try_get("label")?,
+            state: row.try_get("state")?,
+            reason: row.try_get("reason")?,
+            items: row.try_get("items")?,
+            concurrency: row.try_get("concurrency")?,
+            max_cost_usd: row.try_get("max_cost_usd")?,
+            job_id: row.try_get("job_id")?,
+            request: row.try_get("request")?,
+            created_at: row.try_get("created_at")?,
+            finished_at: row.try_get("finished_at")?,
+        })
+    }
+}
+
+/// A batch about to be received.
+pub struct NewBatch<'a> {
+    pub label: Option<&'a str>,
+    pub concurrency: Option<u32>,
+    pub max_cost_usd: Option<f64>,
+}
+
+/// An item about to be recorded.
+pub struct NewItem {
+    pub scene_id: String,
+    /// The question as JSON.
+    pub request: String,
+}
+
+/// An item that waits.
+#[derive(Debug, Clone)]
+pub struct OpenItem {
+    pub item: u32,
+    pub scene_id: String,
+    pub request: String,
+    pub answer_id: String,
+}
+
+/// What came of an item.
+#[derive(Debug, Clone)]
+pub struct ClosedItem {
+    pub item: u32,
+    /// Of its answer, or `failed`.
+    pub status: String,
+    pub cost_usd: f64,
+    /// Code and detail.
+    pub error: Option<(String, String)>,
+}
+
+/// An item with its answer, where there is one.
+#[derive(Debug, Clone)]
+pub struct ItemRow {
+    pub item: u32,
+    pub scene_id: String,
+    pub request: String,
+    pub answer_id: String,
+    /// None while it waits.
+    pub status: Option<String>,
+    pub error: Option<(String, String)>,
+    /// The answer's JSON.
+    pub answer: Option<String>,
+}
+
+/// What came of submitting a batch.
+pub enum Submitted {
+    New(JobRow),
+    /// The same key made this one before.
+    MadeBefore(BatchRow),
+    KeyReused,
+}
+
+impl Store {
+    /// Begins a batch: its items follow. Nobody is told of it before it is [submitted](Self::submit_batch).
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn insert_batch(&self, new: NewBatch<'_>) -> Result<String, StoreError> {
+        let id = self.new_id();
+        let sql = "INSERT INTO batches (id, label, state, concurrency, max_cost_usd, created_at) VALUES (?, ?, 'receiving', ?, ?, ?)";
+        sqlx::query(sql)
+            .bind(&id)
+            .bind(new.label)
+            .bind(new.concurrency)
+            .bind(new.max_cost_usd)
+            .bind(now())
+            .execute(self.writer.pool())
+            .await?;
+        Ok(id)
+    }
+
+    /// Adds items to a batch that is being received, from the place `first` on; few enough that nobody waits long for the database.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn insert_batch_items(&self, batch_id: &str, first: u32, items: &[NewItem]) -> Result<(), StoreError> {
+        let sql = "INSERT INTO batch_items (batch_id, item, scene_id, request, answer_id) VALUES (?, ?, ?, ?, ?)";
+        let mut tx = self.writer.begin().await?;
+        for (item, NewItem { scene_id, request }) in (first..).zip(items) {
+            sqlx::query(sql)
+                .bind(batch_id)
+                .bind(item)
+                .bind(scene_id)
+                .bind(request)
+                .bind(self.new_id())
+                .execute(&mut *tx)
+                .await?;
+        }
+        tx.commit().await
+    }
+
+    /// Lets a batch begin, whose items have all been received, with its key and its job as one.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn submit_batch(
+        &self,
+        id: &str,
+        items: u32,
+        request: &str,
+        key: Option<&str>,
+        kind: &str,
+        payload: &str,
+    ) -> Result<Submitted, StoreError> {
+        let mut tx = self.writer.begin().await?;
+        if let Some(key) = key {
+            let before: Option<BatchRow> = sqlx::query_as("SELECT * FROM batches WHERE key = ?").bind(key).fetch_optional(&mut *tx).await?;
+            if let Some(before) = before {
+                tx.forget().await?;
+                let same = before.request.as_deref() == Some(request);
+                return Ok(if same { Submitted::MadeBefore(before) } else { Submitted::KeyReused });
+            }
+        }
+        let job = super::jobs::insert(&mut tx, &self.new_id(), kind, id, payload).await?;
+        let sql = "UPDATE batches SET state = 'running', items = ?, request = ?, key = ?, job_id = ? WHERE id = ?";
+        sqlx::query(sql)
+            .bind(items)
+            .bind(request)
+            .bind(key)
+            .bind(&job.id)
+            .bind(id)
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        Ok(Submitted::New(job))
+    }
+
+    /// The batch an idempotency key made.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn batch_of_idempotency_key(&self, key: &str) -> Result<Option<BatchRow>, StoreError> {
+        Ok(sqlx::query_as("SELECT * FROM batches WHERE key = ?").bind(key).fetch_optional(&self.reader).await?)
+    }
+
+    /// Removes a batch with its items; its answers stay.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn delete_batch(&self, id: &str) -> Result<(), StoreError> {
+        sqlx::query("DELETE FROM batches WHERE id = ?").bind(id).execute(self.writer.pool()).await?;
+        Ok(())
+    }
+
+    /// Forgets batches whose submission a server did not live to see.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub(super) async fn forget_half_received_batches(&self) -> Result<(), StoreError> {
+        sqlx::query("DELETE FROM batches WHERE state = 'receiving'").execute(self.writer.pool()).await?;
+        Ok(())
+    }
+
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn batch(&self, id: &str) -> Result<Option<BatchRow>, StoreError> {
+        let sql = "SELECT * FROM batches WHERE id = ? AND state != 'receiving'";
+        Ok(sqlx::query_as(sql).bind(id).fetch_optional(&self.reader).await?)
+    }
+
+    /// Batches newest first, those before `cursor` (an id) only.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<BatchRow>, StoreError> {
+        let sql = "SELECT * FROM batches WHERE (?1 IS NULL OR id < ?1) AND state != 'receiving' ORDER BY id DESC LIMIT ?2";
+        Ok(sqlx::query_as(sql).bind(cursor).bind(limit).fetch_all(&self.reader).await?)
+    }
+
+    /// How many items have each status, and what they cost.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn batch_figures(&self, id: &str) -> Result<(BTreeMap<String, u32>, f64), StoreError> {
+        let sql = "SELECT status, count(*) AS number, total(cost_usd) AS usd FROM batch_items
+                   WHERE batch_id = ? AND status IS NOT NULL GROUP BY status";
+        let (mut numbers, mut usd) = (BTreeMap::new(), 0.0);
+        for row in sqlx::query(sql).bind(id).fetch_all(&self.reader).await? {
+            numbers.insert(row.try_get("status")?, row.try_get("number")?);
+            usd += row.try_get::<f64, _>("usd")?;
+        }
+        Ok((numbers, usd))
+    }
+
+    /// Items that wait, in order.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn open_batch_items(&self, id: &str, limit: u32) -> Result<Vec<OpenItem>, StoreError> {
+        let sql = "SELECT item, scene_id, request, answer_id FROM batch_items WHERE batch_id = ? AND status IS NULL ORDER BY item LIMIT ?";
+        let rows = sqlx::query(sql).bind(id).bind(limit).fetch_all(&self.reader).await?;
+        let open = |row: &SqliteRow| {
+            Ok(OpenItem {
+                item: row.try_get("item")?,
+                scene_id: row.try_get("scene_id")?,
+                request: row.try_get("request")?,
+                answer_id: row.try_get("answer_id")?,
+            })
+        };
+        rows.iter().map(open).collect()
+    }
+
+    /// Writes down what came of items, as one.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn close_batch_items(&self, id: &str, closed: &[ClosedItem]) -> Result<(), StoreError> {
+        let sql = "UPDATE batch_items SET status = ?, cost_usd = ?, error_code = ?, error = ? WHERE batch_id = ? AND item = ?";
+        let mut tx = self.writer.begin().await?;
+        for ClosedItem { item, status, cost_usd, error } in closed {
+            let (code, detail) = error.as_ref().map_or((None, None), |(code, detail)| (Some(code), Some(detail)));
+            sqlx::query(sql)
+                .bind(status)
+                .bind(cost_usd)
+                .bind(code)
+                .bind(detail)
+                .bind(id)
+                .bind(item)
+                .execute(&mut *tx)
+                .await?;
+        }
+        tx.commit().await
+    }
+
+    /// Moves a batch from one of some states to another; whether it was in one of them.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn move_batch(&self, id: &str, from: &[&str], to: &str, reason: Option<&str>) -> Result<bool, StoreError> {
+        let finished = matches!(to, "succeeded" | "cancelled").then(now);
+        let sql = "UPDATE batches SET state = ?1, reason = ?2, finished_at = ?3
+                   WHERE id = ?4 AND instr(',' || ?5 || ',', ',' || state || ',') > 0";
+        let moved = sqlx::query(sql)
+            .bind(to)
+            .bind(reason)
+            .bind(finished)
+            .bind(id)
+            .bind(from.join(","))
+            .execute(self.writer.pool())
+            .await?;
+        Ok(moved.rows_affected() > 0)
+    }
+
+    /// Gives a batch another job.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn set_batch_job(&self, id: &str, job_id: &str) -> Result<(), StoreError> {
+        sqlx::query("UPDATE batches SET job_id = ? WHERE id = ?")
+            .bind(job_id)
+            .bind(id)
+            .execute(self.writer.pool())
+            .await?;
+        Ok(())
+    }
+
+    /// Items in order from a place on, each with its answer.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn batch_items(&self, id: &str, from: u32, limit: u32) -> Result<Vec<ItemRow>, StoreError> {
+        let sql = "SELECT item, batch_items.scene_id, request, answer_id, status, error_code, error, body
+                   FROM batch_items LEFT JOIN answers ON answers.id = answer_id
+                   WHERE batch_id = ? AND item >= ? ORDER BY item LIMIT ?";
+        let rows = sqlx::query(sql).bind(id).bind(from).bind(limit).fetch_all(&self.reader).await?;
+        let item = |row: &SqliteRow| {
+            let (code, detail): (Option<String>, Option<String>) = (row.try_get("error_code")?, row.try_get("error")?);
+            Ok(ItemRow {
+                item: row.try_get("item")?,
+                scene_id: row.try_get("scene_id")?,
+                request: row.try_get("request")?,
+                answer_id: row.try_get("answer_id")?,
+                status: row.try_get("status")?,
+                error: code.map(|code| (code, detail.unwrap_or_default())),
+                answer: row.try_get("body")?,
+            })
+        };
+        rows.iter().map(item).collect()
+    }
+}
