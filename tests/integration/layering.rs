@@ -38,7 +38,7 @@ const PACKAGES: [(&str, Floors); 3] = [
     (
         "crates/uniground-types/src",
         &[
-            &["scenes", "instances", "service", "transcript"],
+            &["scenes", "instances", "service", "transcript", "batch"],
             &["answer", "question", "settings", "job", "models"],
             &["scene", "problem"],
             &["geometry"],

@@ -77,13 +77,12 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
         (Status::NoMatch, _) if matches!(reason, Some(NoMatchReason::NotRecognised | NoMatchReason::NotEnglish)) => NOBODY_KNOWS,
         (Status::NoMatch, Some(best)) => 1.0 - best.score,
         (Status::NoMatch, None) => 1.0,
-        (_, Some(best)) if parsed.quantity != Quantity::One => best.score,
         (_, Some(best)) => beliefs[best.id.0 as usize - 1],
         (_, None) => 0.0,
     };
     let asks_for_several = parsed.quantity != Quantity::One;
     let targets = match chosen {
-        Some(_) if asks_for_several => several.iter().map(|&i| target(&scene.instances[i], scores[i])).collect(),
+        Some(_) if asks_for_several => several.iter().map(|&i| target(&scene.instances[i], beliefs[i])).collect(),
         Some(chosen) => vec![target(chosen, confidence)],
         None => Vec::new(),
     };

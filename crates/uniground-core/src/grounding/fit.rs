@@ -6,16 +6,12 @@ use super::query::{Meaning, Phrase, Trait};
 use super::solid::Solid;
 use crate::geometry::colour::lab_of_srgb;
 use crate::models::attributes::{self, Kinship, Lexicon, Noun, WordNet, noun_fit};
-use crate::scene::{Instance, Level};
+use crate::scene::{Instance, Level, Support};
 
 /// A broader word ("seat" for a sofa) fits a little less than the thing's own name.
 const BROADER_WORD: f32 = 0.9;
 /// A thing that was given a broader name than the one asked for may be meant.
 const BROADER_NAME: f32 = 0.5;
-/// The name that was given and the one asked for are kinds of one thing: people seldom agree on them.
-const NEAR_NAME: f32 = 0.4;
-/// A kind that is a noun itself, of no more nouns than this, tells what a thing is.
-const NARROW: usize = 12;
 /// Another word for the name that was given.
 const SYNONYM: f32 = 0.95;
 /// A thing that serves a use as others do; one that is named after the use has 1.
@@ -121,6 +117,14 @@ fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
 
 /// How well a name that somebody gave fits the noun asked for: the same thing in other words fits fully, a broader word a little less.
 pub(super) fn given_name_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
+    // "kitchen chair" is one name where somebody gave it.
+    if phrase
+        .unchecked
+        .iter()
+        .any(|before| given.strip_suffix(&phrase.head).and_then(|rest| rest.strip_suffix(' ')) == Some(before))
+    {
+        return 1.0;
+    }
     let fit = match (meaning, Lexicon::get().find(given)) {
         (Meaning::Nouns(asked), Some(own)) => match asked.iter().position(|noun| noun.name == own.name) {
             // The very word is meant before its synonyms.
@@ -130,21 +134,11 @@ pub(super) fn given_name_fit(given: &str, phrase: &Phrase, meaning: &Meaning) ->
             }
             // "table" was given and "side table" is asked for: it may be one.
             None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => BROADER_NAME,
-            None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| alike(noun, own)) => NEAR_NAME,
             None => 0.0,
         },
         _ => f32::from(u8::from(last(given) == last(&phrase.head))),
     };
     if fit > 0.0 || phrase.head.is_empty() || !phrase.uses.is_empty() { fit } else { kinship_fit(given, &phrase.head) }
-}
-
-/// Whether two nouns are kinds of one narrow kind: an armchair and an office chair are chairs.
-fn alike(a: &Noun, b: &Noun) -> bool {
-    let one = |kind: &String| {
-        let nouns = Lexicon::get().find_all(kind);
-        nouns.len() <= NARROW && nouns.first().is_some_and(|noun| noun.name == *kind)
-    };
-    a.kinds.iter().any(|kind| b.kinds.contains(kind) && one(kind))
 }
 
 fn last(words: &str) -> Option<&str> {
@@ -184,11 +178,15 @@ pub fn colours_fit(phrase: &Phrase, instance: &Instance) -> f32 {
 pub fn trait_fits(instances: &[Instance], solids: &[Solid], nouns: &[f32], asked: Trait) -> Vec<f32> {
     let squareness = |solid: &Solid| solid.sides().1 / solid.sides().0.max(1e-3);
     let lightness = |i: usize| lab_of_srgb(instances[i].mean_rgb).x;
+    // Of pictures and shelves on a wall "the high one" hangs high; of what stands on the floor it is tall.
+    let hanging = |i: usize| matches!(instances[i].support, Support::Wall { .. });
+    let off_the_floor = (0..nouns.len()).filter(|&i| nouns[i] >= PLAUSIBLE).all(hanging);
+    let height = |i: usize| if off_the_floor { solids[i].top } else { solids[i].size[2] };
     let measure = |i: usize| match asked {
         Trait::Large => solids[i].volume(),
         Trait::Small => -solids[i].volume(),
-        Trait::Tall => solids[i].size[2],
-        Trait::Low => -solids[i].size[2],
+        Trait::Tall => height(i),
+        Trait::Low => -height(i),
         Trait::Long => solids[i].sides().0,
         Trait::Light => lightness(i),
         Trait::Dark => -lightness(i),

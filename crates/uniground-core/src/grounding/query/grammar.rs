@@ -9,6 +9,7 @@ use super::languages;
 use super::observers;
 use super::pieces::{Piece, address, is_bare_noun, is_filler, noun_to_come, pieces};
 use super::rewrites::rewritten;
+use super::situations;
 use super::tokens::tokens;
 use super::words::{self, Meaning};
 use super::{Look, ME, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative};
@@ -62,7 +63,7 @@ struct Frame {
 pub fn parse(query: &str) -> ParsedQuery {
     let tokens = tokens(query);
     let foreign = languages::is_foreign(&tokens);
-    let tokens = observers::rewritten(&rewritten(corrections::rewritten(tokens)));
+    let tokens = observers::rewritten(&rewritten(corrections::rewritten(situations::left_out(tokens))));
     let tokens = &tokens[address(&tokens)..];
     let affordance = affordances::find(tokens);
     let (described, rest) = affordance

@@ -9,6 +9,7 @@ use crate::models::attributes::Lexicon;
 pub(super) fn rewritten(mut tokens: Vec<String>) -> Vec<String> {
     slips(&mut tokens);
     its(&mut tokens);
+    thing_you_use(&mut tokens);
     which_is(&mut tokens);
     extremes(&mut tokens);
     how_many(&mut tokens);
@@ -16,6 +17,8 @@ pub(super) fn rewritten(mut tokens: Vec<String>) -> Vec<String> {
     either_side(&mut tokens);
     on_parts(&mut tokens);
     purposes(&mut tokens);
+    verbs(&mut tokens);
+    in_front_of_me(&mut tokens);
     corners(&mut tokens);
     sides_of_the_room(&mut tokens);
     shades(&mut tokens);
@@ -24,7 +27,11 @@ pub(super) fn rewritten(mut tokens: Vec<String>) -> Vec<String> {
 
 /// "somethng", "theres": small words that were misspelt.
 fn slips(tokens: &mut [String]) {
-    const LEFT_OUT: [(&str, &str); 8] = [
+    const LEFT_OUT: [(&str, &str); 12] = [
+        ("u", "you"),
+        ("ur", "your"),
+        ("thru", "through"),
+        ("pls", "please"),
         ("theres", "there's"),
         ("thats", "that's"),
         ("youre", "you're"),
@@ -64,6 +71,23 @@ fn its(tokens: &mut [String]) {
         if tokens[i - 1] == "its" && follows {
             "it's".clone_into(&mut tokens[i - 1]);
         }
+    }
+}
+
+/// "the green thing you make toast with" is "something green to make toast with".
+fn thing_you_use(tokens: &mut Vec<String>) {
+    let word = |i: usize| tokens.get(i).map_or("", String::as_str);
+    let is_thing = |i: &usize| matches!(word(*i), "thing" | "one" | "object" | "item" | "device" | "machine");
+    let Some(thing) = (1..tokens.len().min(7)).find(is_thing) else { return };
+    let that = usize::from(matches!(word(thing + 1), "that" | "which"));
+    let people = matches!(word(thing + that + 1), "you" | "people" | "they" | "one" | "someone" | "somebody" | "we");
+    let verb = word(thing + that + 2);
+    let meaning = |i: usize| words::longest(&[word(i)]).map(|(meaning, _)| meaning);
+    let describes = |i: usize| matches!(meaning(i), Some(Meaning::Colour(_) | Meaning::Trait(_) | Meaning::Determiner | Meaning::Filler));
+    if people && affordances::is_verb_of_a_use(verb) && (0..thing).all(describes) {
+        let described = (0..thing).filter(|&i| meaning(i) != Some(Meaning::Determiner)).map(word);
+        let new: Vec<String> = ["something"].into_iter().chain(described).chain(["to"]).map(str::to_owned).collect();
+        tokens.splice(..thing + that + 2, new);
     }
 }
 
@@ -169,6 +193,38 @@ fn purposes(tokens: &mut Vec<String>) {
             tokens.insert(i, purpose);
         }
         i += 1;
+    }
+}
+
+/// "The chair. Leans against the wall": the verb of a sentence without a subject says no more than what follows it.
+fn verbs(tokens: &mut Vec<String>) {
+    let is_verb = |word: &str| word.len() > 3 && word.ends_with('s') && words::longest(&[word]).is_none() && !Lexicon::get().knows(word);
+    let relates = |word: &str| matches!(words::longest(&[word]), Some((Meaning::Relation(_) | Meaning::With { .. }, _)));
+    let mut i = 1;
+    while i + 1 < tokens.len() {
+        if tokens[i - 1] == BREAK && is_verb(&tokens[i]) && relates(&tokens[i + 1]) {
+            tokens.remove(i);
+        }
+        i += 1;
+    }
+}
+
+/// "with the window in front of me" is "when you face the window", "with the door behind me" "with my back to the door".
+fn in_front_of_me(tokens: &mut Vec<String>) {
+    const AHEAD: [&[&str]; 4] = [&["right", "in", "front", "of"], &["in", "front", "of"], &["ahead", "of"], &["before"]];
+    const BEHIND: [&[&str]; 1] = [&["behind"]];
+    let somebody = |word: Option<&String>| word.is_some_and(|word| matches!(word.as_str(), "me" | "you" | "us"));
+    let Some(with) = tokens.iter().position(|token| token == "with") else { return };
+    let end = (with..tokens.len()).find(|&i| tokens[i] == BREAK).unwrap_or(tokens.len());
+    for (ways, meant) in [(&AHEAD[..], &["when", "you", "face"][..]), (&BEHIND[..], &["with", "my", "back", "to"][..])] {
+        for words in ways {
+            let told = |i: &usize| tokens[*i..].iter().map(String::as_str).take(words.len()).eq(words.iter().copied());
+            if let Some(at) = (with + 2..end).find(told).filter(|at| somebody(tokens.get(at + words.len()))) {
+                tokens.splice(at..=at + words.len(), [BREAK.to_owned()]);
+                tokens.splice(with..=with, meant.iter().map(|word| (*word).to_owned()));
+                return;
+            }
+        }
     }
 }
 
@@ -353,6 +409,13 @@ mod tests {
             ("its the one near the door", "it's the one near the door"),
             ("is the desk on the left or the right, show me the desk", "is the desk , show me the desk"),
             ("the nearest place to sit when you come in", "something to sit , the nearest when you come in"),
+            ("the red chair. Leans against the wall", "the red chair , against the wall"),
+            ("with the window in front of me the lamp", "when you face the window , the lamp"),
+            ("the lamp on the left with the door behind me", "the lamp on the left with my back to the door ,"),
+            ("the sofa with the table in front of it", "the sofa with the table in front of it"),
+            ("the shiny thing you sit on", "the shiny thing you sit on"),
+            ("the green thing you sit on", "something green to sit on"),
+            ("the thing that people write with", "something to write with"),
             ("all the chairs on wheels", "all the chairs with wheels"),
             ("the pot for brewing tea on the shelf", "the tea pot on the shelf"),
             ("lamp for to read book next the sofa", "lamp|for to read book|next the sofa"),

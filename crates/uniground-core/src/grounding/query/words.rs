@@ -203,6 +203,12 @@ pub(super) fn is_part_of_furniture(head: &str) -> bool {
             | "handle"
             | "frame"
             | "door"
+            | "drawer"
+            | "arm"
+            | "knob"
+            | "shade"
+            | "rim"
+            | "lap"
     )
 }
 

@@ -96,7 +96,8 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         _ if several.len() > 1 => explain_several(assessor.scene, &parsed.target, &several),
         _ => explain(assessor, phrase, read, best, viewpoint),
     };
-    let mut beliefs = beliefs(&scores);
+    // Several do not share one belief.
+    let mut beliefs = if parsed.quantity == Quantity::One { beliefs(&scores) } else { scores.clone() };
     let understood = if parsed.not_understood.is_empty() { 1.0 } else { NOT_ALL_UNDERSTOOD };
     let named = if parsed.target.meaning() == Meaning::Anything { NO_NOUN } else { 1.0 };
     let encoder = assessor.scene.appearance.is_some();

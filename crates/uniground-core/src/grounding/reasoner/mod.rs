@@ -16,7 +16,7 @@ pub struct Verdict {
     pub reason: Option<NoMatchReason>,
     /// Fit of each instance to the whole question, `0..=1`.
     pub scores: Vec<f32>,
-    /// Share of the belief each instance carries; together at most 1, and 0 for `no_match`.
+    /// How sure each instance is, `0..=1`: where one is asked for, they share the belief; 0 for `no_match`.
     pub beliefs: Vec<f32>,
     /// Indices of all things a question for several means, best first; empty where one is asked for.
     pub several: Vec<usize>,

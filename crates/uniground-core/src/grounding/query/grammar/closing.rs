@@ -35,6 +35,14 @@ impl Reader {
             superlative.rank = rank;
             self.ordinal = None;
         }
+        // "the second chair left of the door": counted from it.
+        let sided = target.relations.iter().find(|r| r.kind.is_a_side() && !r.negated && r.anchors.len() == 1);
+        if let (Some(rank), Some(anchors)) = (self.ordinal, sided.map(|r| r.anchors.clone())) {
+            target
+                .relations
+                .push(Relation { kind: RelationKind::Closest, text: "counted from".into(), anchors, negated: false, rank });
+            self.ordinal = None;
+        }
         if let Some(rank) = self.ordinal.take() {
             self.query.not_understood.push(format!("number {rank}"));
         }
