@@ -2,6 +2,7 @@
 
 use super::App;
 use super::extract::{Json, Path, Query};
+use super::paging::Page;
 use super::problem::Refused;
 use crate::service::{Body, ResultFormat, Results, Submission};
 use axum::body::{Body as AxumBody, BodyDataStream};
@@ -92,25 +93,9 @@ pub async fn create(
     Ok((StatusCode::ACCEPTED, axum::Json(batch)))
 }
 
-#[derive(Debug, Deserialize, IntoParams)]
-#[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
-pub struct ListParameters {
-    /// Batches per page.
-    #[serde(default = "default_limit")]
-    #[param(minimum = 1, maximum = 100, default = 20)]
-    limit: u32,
-    /// `next_cursor` of the page before.
-    cursor: Option<String>,
-}
-
-fn default_limit() -> u32 {
-    20
-}
-
 /// Lists batches, newest first.
 #[utoipa::path(
-    get, path = "/v1/batches", tag = "batches", params(ListParameters),
+    get, path = "/v1/batches", tag = "batches", params(Page),
     responses(
         (status = 200, body = BatchList),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -118,16 +103,8 @@ fn default_limit() -> u32 {
     ),
     security(("key" = []), ())
 )]
-pub async fn list(
-    State(app): State<App>,
-    Query(ListParameters { limit, cursor }): Query<ListParameters>,
-) -> Result<axum::Json<BatchList>, Refused> {
-    if !(1..=100).contains(&limit) {
-        return Err(Refused::invalid("limit", "must be 1 to 100"));
-    }
-    if cursor.as_ref().is_some_and(|cursor| cursor.parse::<uuid::Uuid>().is_err()) {
-        return Err(Refused::invalid("cursor", "must be the next_cursor of the page before"));
-    }
+pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<axum::Json<BatchList>, Refused> {
+    let (limit, cursor) = page.checked()?;
     Ok(axum::Json(app.service.batches(limit, cursor.as_deref()).await?))
 }
 
@@ -157,7 +134,7 @@ pub struct ResultParameters {
     #[serde(default)]
     #[param(inline)]
     format: ResultFormat,
-    /// Wait for items that are still asked, to the end of the batch; else the results end at the first that is.
+    /// Wait for items that are still asked, until the batch ends or pauses; else the results end at the first that is.
     #[serde(default)]
     follow: bool,
 }

@@ -10,6 +10,7 @@ mod health;
 mod hosts;
 mod instances;
 mod jobs;
+mod paging;
 mod problem;
 mod reports;
 mod scenes;

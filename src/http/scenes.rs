@@ -3,6 +3,7 @@
 use super::App;
 use super::Binary;
 use super::extract::{Json, Path, Query};
+use super::paging::Page;
 use super::problem::Refused;
 use crate::jobs::Job;
 use crate::service::{NewScene, ParseFile};
@@ -87,25 +88,9 @@ pub async fn create(
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
-#[derive(Debug, Deserialize, IntoParams)]
-#[serde(deny_unknown_fields)]
-#[into_params(parameter_in = Query)]
-pub struct ListParameters {
-    /// Scenes per page.
-    #[serde(default = "default_limit")]
-    #[param(minimum = 1, maximum = 100, default = 20)]
-    limit: u32,
-    /// `next_cursor` of the page before.
-    cursor: Option<String>,
-}
-
-fn default_limit() -> u32 {
-    20
-}
-
 /// Lists scenes, newest first.
 #[utoipa::path(
-    get, path = "/v1/scenes", tag = "scenes", params(ListParameters),
+    get, path = "/v1/scenes", tag = "scenes", params(Page),
     responses(
         (status = 200, body = SceneList),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -113,16 +98,8 @@ fn default_limit() -> u32 {
     ),
     security(("key" = []), ())
 )]
-pub async fn list(
-    State(app): State<App>,
-    Query(ListParameters { limit, cursor }): Query<ListParameters>,
-) -> Result<axum::Json<SceneList>, Refused> {
-    if !(1..=100).contains(&limit) {
-        return Err(Refused::invalid("limit", "must be 1 to 100"));
-    }
-    if cursor.as_ref().is_some_and(|cursor| cursor.parse::<uuid::Uuid>().is_err()) {
-        return Err(Refused::invalid("cursor", "must be the next_cursor of the page before"));
-    }
+pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<axum::Json<SceneList>, Refused> {
+    let (limit, cursor) = page.checked()?;
     Ok(axum::Json(app.service.scenes(limit, cursor.as_deref()).await?))
 }
 

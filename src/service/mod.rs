@@ -35,6 +35,7 @@ use uniground_core::grounding::PictureCache;
 use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::models::neural::{LoadedModel, Models};
 use uniground_core::models::with_causes;
+use uniground_core::progress::{Cancelled, Progress};
 
 /// What uploads and questions may take.
 #[derive(Debug, Clone, Copy)]
@@ -144,5 +145,16 @@ fn job_failure(error: Error) -> JobFailure {
         code => {
             JobFailure::Failed { code: code.to_owned(), detail: error.to_string(), cause: with_causes(&error), transient: error.may_pass() }
         }
+    }
+}
+
+/// Ends when a job is to stop.
+async fn until_cancelled(progress: &Progress) -> Cancelled {
+    const LOOK_EVERY: Duration = Duration::from_millis(100);
+    loop {
+        if let Err(cancelled) = progress.check() {
+            return cancelled;
+        }
+        tokio::time::sleep(LOOK_EVERY).await;
     }
 }

@@ -217,6 +217,7 @@ async fn what_a_batch_may_cost_is_never_exceeded_and_the_rest_waits() {
     assert_eq!((batch.state, batch.reason.as_deref()), (BatchState::Paused, Some("budget_spent")), "{batch:?}");
     assert!(batch.cost_usd <= limit && (1..8).contains(&batch.done), "{batch:?}");
     assert!((batch.cost_usd - f64::from(batch.done) * one).abs() < 1e-6, "{batch:?}: {one} each");
+    assert_eq!(results(client, &batch.id, 0, true).await.len(), batch.done as usize, "who follows is told, not kept waiting");
     let for_the_last = script.calls() - calls - calls_of_one * batch.done as usize;
     assert!(for_the_last < calls_of_one, "each item was asked once, and the last perhaps begun");
     // Nothing at all may be spent: nothing is asked, and nothing else answers.

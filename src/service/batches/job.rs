@@ -4,12 +4,16 @@ use super::reason;
 use crate::error::Error;
 use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
 use crate::service::answers::Asker;
-use crate::service::{Service, job_failure};
+use crate::service::{Service, job_failure, until_cancelled};
 use crate::store::{BatchRow, ClosedItem, OpenItem};
+use futures::future::ready;
 use futures::{StreamExt, stream};
 use serde::{Deserialize, Serialize};
+use std::pin::pin;
+use std::sync::atomic::AtomicBool;
+use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
-use tokio::time::sleep;
+use tokio::time::{sleep, timeout_at};
 use uniground_core::models::chat::{Budget, OverBudget};
 use uniground_core::scene_parsing::ParseError;
 use uniground_types::answer::{Answer, Usage};
@@ -47,6 +51,9 @@ const FIRST_WAIT: Duration = Duration::from_secs(1);
 /// How long a question waits that found all places taken: people come first.
 const STEP_ASIDE: Duration = Duration::from_millis(50);
 
+/// How long questions under way may take once the job is to stop. As long as requests have when the server stops.
+const GRACE: Duration = Duration::from_secs(5);
+
 /// How an item ended.
 enum End {
     Closed(ClosedItem),
@@ -73,34 +80,51 @@ impl Service {
                 self.store.move_batch(&batch.id, &["running"], "succeeded", None).await?;
                 return Ok(told(before + done, &batch, "done"));
             }
-            let mut ends = stream::iter(items).map(|item| self.ask_item(item, budget.as_ref())).buffer_unordered(width);
-            let (mut closed, mut written, mut over_budget, mut stop) = (Vec::new(), Instant::now(), false, None);
-            while let Some(end) = ends.next().await {
+            let asking = AtomicBool::new(true);
+            let wanted = stream::iter(items).take_while(|_| ready(asking.load(Relaxed)));
+            let mut ends = pin!(wanted.map(|item| self.ask_item(item, budget.as_ref())).buffer_unordered(width));
+            let (mut closed, mut written, mut over_budget) = (Vec::new(), Instant::now(), false);
+            let (mut stop, mut last_call): (Option<Error>, _) = (None, None);
+            loop {
+                let end = if let Some(at) = last_call {
+                    // What is under way has been paid for: it gets a while to end.
+                    timeout_at(at, ends.next()).await.ok().flatten()
+                } else {
+                    tokio::select! {
+                        end = ends.next() => end,
+                        cancelled = until_cancelled(&progress) => {
+                            (stop, last_call) = (Some(ParseError::from(cancelled).into()), Some(tokio::time::Instant::now() + GRACE));
+                            asking.store(false, Relaxed);
+                            continue;
+                        }
+                    }
+                };
                 match end {
-                    Ok(End::Closed(item)) => closed.push(item),
-                    Ok(End::OverBudget) => over_budget = true,
+                    None => break,
+                    Some(Ok(End::Closed(item))) => closed.push(item),
+                    Some(Ok(End::OverBudget)) => over_budget = true,
                     // The store is in trouble: what is known is kept, and the job is tried again.
-                    Err(error) => stop = Some(error),
+                    Some(Err(error)) => stop = Some(error),
                 }
-                if stop.is_none() && progress.report("asking", (done as f32 + closed.len() as f32) / open as f32).is_err() {
-                    stop = Some(ParseError::from(uniground_core::progress::Cancelled).into());
-                }
-                if closed.len() >= WRITE_AFTER || written.elapsed() >= WRITE_EVERY || stop.is_some() || over_budget {
+                // Who is to stop is told above.
+                let _ = progress.report("asking", (done as f32 + closed.len() as f32) / open as f32);
+                if closed.len() >= WRITE_AFTER || written.elapsed() >= WRITE_EVERY {
                     self.store.close_batch_items(&batch.id, &closed).await?;
                     done += closed.len() as u32;
                     (closed, written) = (Vec::new(), Instant::now());
-                    if let Some(error) = stop {
-                        return Err(error);
-                    }
-                    let goes_on = self.store.batch(&batch.id).await?.is_some_and(|batch| batch.state == "running");
-                    if over_budget || !goes_on {
-                        break;
+                    if self.store.batch(&batch.id).await?.is_none_or(|batch| batch.state != "running") {
+                        asking.store(false, Relaxed);
                     }
                 }
+                if over_budget || stop.is_some() {
+                    asking.store(false, Relaxed);
+                }
             }
-            drop(ends);
             self.store.close_batch_items(&batch.id, &closed).await?;
             done += closed.len() as u32;
+            if let Some(error) = stop {
+                return Err(error);
+            }
             if over_budget {
                 self.store.move_batch(&batch.id, &["running"], "paused", Some(reason::BUDGET_SPENT)).await?;
                 return Ok(told(before + done, &batch, "its money is spent"));

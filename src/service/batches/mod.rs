@@ -15,7 +15,7 @@ use crate::store::BatchRow;
 use jiff::Timestamp;
 use job::Payload;
 use uniground_types::batch::{Batch, BatchList, BatchState};
-use uniground_types::job::{Job, JobState};
+use uniground_types::job::Job;
 
 /// Questions of a batch asked at once, where it does not say.
 const CONCURRENCY: u32 = 4;
@@ -31,7 +31,7 @@ const MIN_DONE_FOR_ETA: f32 = 0.01;
 mod reason {
     /// What it may cost is spent.
     pub const BUDGET_SPENT: &str = "budget_spent";
-    /// Its job was cancelled, or failed.
+    /// Its job was cancelled, failed, or ended just before it was resumed.
     pub const JOB_ENDED: &str = "job_ended";
 }
 
@@ -106,8 +106,8 @@ impl Service {
         self.store.batch(id).await?.ok_or_else(|| Error::BatchNotFound { id: id.into() })
     }
 
-    async fn present_batch(&self, row: BatchRow) -> Result<Batch, Error> {
-        let (by_status, cost_usd) = self.store.batch_figures(&row.id).await?;
+    /// Where a batch stands, why, and its job.
+    async fn batch_state(&self, row: &BatchRow) -> Result<(BatchState, Option<String>, Option<Job>), Error> {
         let job = match &row.job_id {
             Some(id) => match self.jobs.get(id).await {
                 Ok(job) => Some(job),
@@ -116,14 +116,21 @@ impl Service {
             },
             None => None,
         };
-        let ended = job.as_ref().is_some_and(|job| matches!(job.state, JobState::Failed | JobState::Cancelled));
+        // However it ended: nobody asks any more.
+        let ended = job.as_ref().is_some_and(|job| job.state.is_final());
         let (state, reason) = match row.state.as_str() {
             "running" if ended => (BatchState::Paused, Some(reason::JOB_ENDED.to_owned())),
             "running" => (BatchState::Running, None),
-            "paused" => (BatchState::Paused, row.reason),
+            "paused" => (BatchState::Paused, row.reason.clone()),
             "cancelled" => (BatchState::Cancelled, None),
             _ => (BatchState::Succeeded, None),
         };
+        Ok((state, reason, job))
+    }
+
+    async fn present_batch(&self, row: BatchRow) -> Result<Batch, Error> {
+        let (by_status, cost_usd) = self.store.batch_figures(&row.id).await?;
+        let (state, reason, job) = self.batch_state(&row).await?;
         let done = by_status.values().sum();
         let eta_s = job.filter(|_| state == BatchState::Running).and_then(|job| time_left(&job, done, row.items));
         let BatchRow { id, label, items, job_id, created_at, finished_at, .. } = row;

@@ -10,6 +10,7 @@ use serde_json::value::RawValue;
 use std::time::Duration;
 use tokio::time::sleep;
 use uniground_types::answer::Answer;
+use uniground_types::batch::BatchState;
 use uniground_types::job::JobError;
 
 /// How results are written.
@@ -30,7 +31,7 @@ pub struct Results {
     /// The first item.
     pub from: u32,
     pub format: ResultFormat,
-    /// Wait for items that are still asked; else end at the first that is.
+    /// Wait for items that are still asked, while the batch runs; else end at the first that is.
     pub follow: bool,
 }
 
@@ -65,7 +66,7 @@ impl Service {
     /// # Errors
     /// [`Error::BatchNotFound`].
     pub async fn batch_results(&self, results: Results) -> Result<impl Stream<Item = Result<Bytes, Error>> + use<>, Error> {
-        self.batch(&results.batch_id).await?;
+        self.batch_row(&results.batch_id).await?;
         let service = self.clone();
         let begin = (results.format == ResultFormat::Csv).then(|| Bytes::from(format!("{}\n", COLUMNS.join(","))));
         let pages = stream::try_unfold(results, move |wanted| {
@@ -78,7 +79,7 @@ impl Service {
     async fn next_page(&self, mut wanted: Results) -> Result<Option<(Bytes, Results)>, Error> {
         loop {
             // Looked at before the items: what is closed after this is found next time.
-            let batch = self.batch(&wanted.batch_id).await?;
+            let (state, ..) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
             let rows = self.store.batch_items(&wanted.batch_id, wanted.from, PAGE).await?;
             let done: Vec<ItemRow> = rows.into_iter().take_while(|row| row.status.is_some()).collect();
             if let Some(last) = done.last() {
@@ -89,7 +90,7 @@ impl Service {
                 };
                 return Ok(Some((page.into(), wanted)));
             }
-            if !wanted.follow || wanted.from >= batch.items || batch.state.is_final() {
+            if !wanted.follow || state != BatchState::Running {
                 return Ok(None);
             }
             sleep(LOOK_EVERY).await;

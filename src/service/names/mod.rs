@@ -1,7 +1,7 @@
 //! Naming all instances of a parse up front, as a job: questions with cached names then never wait for it.
 
 use super::answers::StoredScene;
-use super::{Service, Vlm, job_failure};
+use super::{Service, Vlm, job_failure, until_cancelled};
 use crate::error::Error;
 use crate::jobs::{Job, JobContext, JobFailure, JobKind, Retry};
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,6 @@ use std::time::Duration;
 use uniground_core::grounding::pipeline::SceneSource;
 use uniground_core::grounding::vlm::naming;
 use uniground_core::models::chat::Session;
-use uniground_core::progress::{Cancelled, Progress};
 use uniground_core::scene::{InstanceId, Level};
 use uniground_core::scene_parsing::ParseError;
 
@@ -104,15 +103,5 @@ impl Service {
         let names = naming::read(&asked?, &ids);
         self.keep_names(&source.parse.id, &names).await?;
         Ok(names)
-    }
-}
-
-async fn until_cancelled(progress: &Progress) -> Cancelled {
-    const LOOK_EVERY: Duration = Duration::from_millis(100);
-    loop {
-        if let Err(cancelled) = progress.check() {
-            return cancelled;
-        }
-        tokio::time::sleep(LOOK_EVERY).await;
     }
 }

@@ -70,6 +70,8 @@ pub struct Assessor<'a> {
     /// Index of what somebody looks at: of things to the left and right, those near it are meant.
     pub looked_at: Option<usize>,
     room: OnceCell<Room>,
+    /// Of every instance, its own front: it takes a look at all walls, and is asked for with every other instance.
+    fronts: Vec<OnceCell<Option<Vector3<f32>>>>,
 }
 
 impl<'a> Assessor<'a> {
@@ -82,6 +84,7 @@ impl<'a> Assessor<'a> {
             observer: None,
             looked_at: None,
             room: OnceCell::new(),
+            fronts: vec![OnceCell::new(); scene.instances.len()],
         }
     }
 
@@ -167,6 +170,12 @@ impl<'a> Assessor<'a> {
 
     fn geometry(&self, kind: RelationKind, target: usize, anchors: &[usize]) -> f32 {
         let score = |anchors: &[&Solid]| relations::score(kind, &self.solids[target], anchors, &self.directions, self.room());
+        if let [a, ..] = *anchors
+            && kind.is_a_side()
+        {
+            let front = || *self.fronts[a].get_or_init(|| relations::own_front(&self.solids[a], self.room()));
+            return relations::at_side(kind, &self.solids[target], &self.solids[a], &self.directions, self.room(), front);
+        }
         // At most two anchors count. Slices on the stack: this runs once for every pair.
         match *anchors {
             [a, b, ..] => score(&[&self.solids[a], &self.solids[b]]),

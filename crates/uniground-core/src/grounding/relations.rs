@@ -47,30 +47,42 @@ pub fn score(kind: RelationKind, target: &Solid, anchors: &[&Solid], directions:
         (RelationKind::AgainstWall, _) => against_wall(target, room),
         (RelationKind::InCorner, _) => in_corner(target, room),
         (RelationKind::InMiddle, _) => in_middle(target, room),
-        (RelationKind::InFrontOf | RelationKind::Behind, [anchor, ..]) => {
-            let sign = if kind == RelationKind::InFrontOf { 1.0 } else { -1.0 };
-            let viewed = beside(target, anchor, &(sign * directions.front));
-            // What stands against a wall has a front of its own, unless somebody's view is asked for.
-            match own_front(anchor, room).filter(|_| !directions.of_somebody) {
-                Some(front) => beside(target, anchor, &(sign * front)).max(AGAINST_OWN_FRONT * viewed),
-                None if directions.of_somebody => viewed,
-                // Nobody tells from where: people look from the middle of the room.
-                None => viewed.max(
-                    FROM_THE_MIDDLE * horizontal_between(&room.outline, anchor).map_or(0.0, |out| beside(target, anchor, &(-sign * out))),
-                ),
-            }
-        }
-        (RelationKind::LeftOf | RelationKind::RightOf, [anchor, ..]) if !directions.of_somebody => {
-            let told = pairwise(kind, target, anchor, directions);
-            // Nobody tells from where: people face the thing, from its front or from the middle of the room.
-            let ahead = own_front(anchor, room).map(|front| -front).or_else(|| horizontal_between(&room.outline, anchor));
-            let faced = ahead
-                .and_then(Directions::looking_along)
-                .map_or(0.0, |directions| pairwise(kind, target, anchor, &directions));
-            told.max(FROM_THE_MIDDLE * faced)
-        }
-        (_, [anchor, ..]) => pairwise(kind, target, anchor, directions),
+        (kind, [anchor, ..]) if kind.is_a_side() => at_side(kind, target, anchor, directions, room, || own_front(anchor, room)),
+        (_, [anchor, ..]) => pairwise(kind, target, anchor),
         (_, []) => 0.0,
+    }
+}
+
+/// Score of `target` at a side of the anchor; `front` tells the anchor's own front (unit, horizontal), and is asked only where nobody's view
+/// is meant.
+#[must_use]
+pub fn at_side(
+    kind: RelationKind,
+    target: &Solid,
+    anchor: &Solid,
+    directions: &Directions,
+    room: &Room,
+    front: impl Fn() -> Option<Vector3<f32>>,
+) -> f32 {
+    let side = |directions: &Directions| match kind {
+        RelationKind::LeftOf => -directions.right,
+        RelationKind::RightOf => directions.right,
+        RelationKind::Behind => -directions.front,
+        _ => directions.front,
+    };
+    let viewed = beside(target, anchor, &side(directions));
+    if directions.of_somebody {
+        return viewed;
+    }
+    // What stands against a wall has a front of its own. In the open, nobody tells from where: people look from the middle of the room.
+    let own = front();
+    let ahead = own.map(|front| -front).or_else(|| horizontal_between(&room.outline, anchor));
+    let faced = ahead
+        .and_then(Directions::looking_along)
+        .map_or(0.0, |directions| beside(target, anchor, &side(&directions)));
+    match kind {
+        RelationKind::InFrontOf | RelationKind::Behind if own.is_some() => faced.max(AGAINST_OWN_FRONT * viewed),
+        _ => viewed.max(FROM_THE_MIDDLE * faced),
     }
 }
 
@@ -84,13 +96,11 @@ pub fn to_observer(kind: RelationKind, target: &Solid, observer: &Solid, directi
     }
 }
 
-fn pairwise(kind: RelationKind, target: &Solid, anchor: &Solid, directions: &Directions) -> f32 {
+fn pairwise(kind: RelationKind, target: &Solid, anchor: &Solid) -> f32 {
     match kind {
         RelationKind::Near | RelationKind::Closest | RelationKind::Between => near(target, anchor),
         RelationKind::Far | RelationKind::Farthest => 1.0 - near(target, anchor),
         RelationKind::Around => around(target, anchor),
-        RelationKind::LeftOf => beside(target, anchor, &-directions.right),
-        RelationKind::RightOf => beside(target, anchor, &directions.right),
         RelationKind::Above => above(target, anchor),
         RelationKind::Below => above(anchor, target),
         RelationKind::On => on(target, anchor),
@@ -99,7 +109,13 @@ fn pairwise(kind: RelationKind, target: &Solid, anchor: &Solid, directions: &Dir
         RelationKind::Opposite => opposite(target, anchor),
         RelationKind::Facing => facing(target, anchor),
         RelationKind::Leaning => leaning(target, anchor),
-        RelationKind::InFrontOf | RelationKind::Behind | RelationKind::AgainstWall | RelationKind::InCorner | RelationKind::InMiddle => 0.0,
+        RelationKind::LeftOf
+        | RelationKind::RightOf
+        | RelationKind::InFrontOf
+        | RelationKind::Behind
+        | RelationKind::AgainstWall
+        | RelationKind::InCorner
+        | RelationKind::InMiddle => 0.0,
     }
 }
 
@@ -109,7 +125,8 @@ const FROM_THE_MIDDLE: f32 = 0.85;
 const AGAINST_OWN_FRONT: f32 = 0.5;
 
 /// Away from the wall a thing stands against, a side of the room or a wall within; `None` in the open and, unless the thing is long, in corners.
-fn own_front(anchor: &Solid, room: &Room) -> Option<Vector3<f32>> {
+#[must_use]
+pub fn own_front(anchor: &Solid, room: &Room) -> Option<Vector3<f32>> {
     const AT_THE_WALL_M: f32 = 0.35;
     const NEXT_WALL_M: f32 = 0.3;
     let [a, b] = room_axes(room);

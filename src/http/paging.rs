@@ -1,0 +1,36 @@
+//! Pages of lists.
+
+use crate::error::Error;
+use serde::Deserialize;
+use utoipa::IntoParams;
+
+/// Which page of a list is wanted.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct Page {
+    /// Entries per page.
+    #[serde(default = "default_limit")]
+    #[param(minimum = 1, maximum = 100, default = 20)]
+    limit: u32,
+    /// `next_cursor` of the page before.
+    cursor: Option<String>,
+}
+
+fn default_limit() -> u32 {
+    20
+}
+
+impl Page {
+    /// Limit and cursor, an id.
+    pub fn checked(self) -> Result<(u32, Option<String>), Error> {
+        let Self { limit, cursor } = self;
+        if !(1..=100).contains(&limit) {
+            return Err(Error::invalid("limit", "must be 1 to 100"));
+        }
+        if cursor.as_ref().is_some_and(|cursor| cursor.parse::<uuid::Uuid>().is_err()) {
+            return Err(Error::invalid("cursor", "must be the next_cursor of the page before"));
+        }
+        Ok((limit, cursor))
+    }
+}
