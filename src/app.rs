@@ -4,9 +4,9 @@ use crate::chat::ReplayCache;
 use crate::config::ServeConfig;
 use crate::http::{self, AllowedHosts, App, MAX_EVENT_STREAMS};
 use crate::jobs::{JobKind, Jobs};
-use crate::service::{BatchJob, NamingJob, ParseJob, Service, Vlm, VlmSettings};
+use crate::service::{BatchJob, Keyring, NamingJob, ParseJob, Service, Vlm, VlmSettings};
 use crate::store::Store;
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
@@ -32,10 +32,18 @@ pub struct RunningService {
 /// # Errors
 /// When the address, the data folder or the key can not be used.
 pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
-    let api_key = config.api_key()?.map(Arc::new);
+    let api_key = config.api_key()?;
     let store = Store::open(&config.data_dir)
         .await
         .with_context(|| format!("the data folder {}", config.data_dir))?;
+    let keys = Keyring::open(store.clone(), api_key.as_deref()).await?;
+    ensure!(
+        keys.is_wanted() || !config.wants_keys(),
+        "{} can be reached from other machines: make a key (uniground key create), set UNIGROUND_API_KEY or --api-key-file, or say --allow-anybody",
+        config.listen
+    );
+    // With a key, who asks knows it; on an address of the network, the operator has said that anybody may.
+    let is_private = !keys.is_wanted() && config.listen.ip().is_loopback();
     let jobs = Jobs::new(store.clone(), config.limits.max_queued_jobs);
     let models = tokio::task::spawn_blocking({
         let config = config.models.clone();
@@ -51,7 +59,7 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         .client(ReplayCache::Off)?
         .map(|client| Vlm::new(Arc::new(client), vlm_settings, store.clone()));
     let parsing = background::pool().context("threads for parses")?;
-    let service = Service::new(store.clone(), jobs.clone(), config.limits.service_limits(), vlm, models, parsing);
+    let service = Service::new(store.clone(), jobs.clone(), keys, config.limits.service_limits(), vlm, models, parsing);
     let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
 
@@ -64,11 +72,9 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         start_lane(&jobs, BatchJob(service.clone()), &shutdown, &lane_ended),
     ];
     tokio::spawn(keep_house(service.clone(), shutdown.clone()));
-    // With a key, who asks knows it; on an address of the network, the operator has said that anybody may.
-    let is_private = api_key.is_none() && config.listen.ip().is_loopback();
     let app = App {
         service,
-        api_key,
+        scopes: Arc::new(http::scopes()),
         shutdown: shutdown.clone(),
         lane_ended,
         allowed_hosts: is_private.then(|| Arc::new(AllowedHosts::new(&config.access.allowed_hosts))),

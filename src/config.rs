@@ -1,7 +1,6 @@
 //! Configuration: every flag is also an environment variable; units are in the names.
 
 use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
-use crate::http::ApiKey;
 use crate::inference::RemoteServer;
 use crate::service::Limits;
 use crate::{telemetry, words};
@@ -348,28 +347,25 @@ impl LimitsConfig {
 }
 
 impl ServeConfig {
-    /// The key callers must show, if any.
+    /// The server's own key, if it is given one.
     ///
     /// # Errors
-    /// When the key can not be read, or the address is reachable from outside and nothing protects it.
-    pub fn api_key(&self) -> anyhow::Result<Option<ApiKey>> {
+    /// When it can not be read, or is too short to protect anything.
+    pub fn api_key(&self) -> anyhow::Result<Option<String>> {
         let key = match &self.access.api_key_file {
             Some(file) => Some(fs::read_to_string(file).with_context(|| format!("the key file {file}"))?),
             None => std::env::var("UNIGROUND_API_KEY").ok(),
         };
-        let key = key.map(|key| key.trim().to_owned());
-        match key {
-            Some(key) if key.len() < MIN_KEY_BYTES => bail!("the API key is too short: at least {MIN_KEY_BYTES} characters"),
-            Some(key) => {
-                telemetry::hide(&key);
-                Ok(Some(ApiKey::new(&key)))
-            }
-            None if self.listen.ip().is_loopback() || self.access.allow_anybody => Ok(None),
-            None => bail!(
-                "{} can be reached from other machines: set UNIGROUND_API_KEY or --api-key-file, or say --allow-anybody",
-                self.listen
-            ),
-        }
+        let Some(key) = key.map(|key| key.trim().to_owned()) else { return Ok(None) };
+        ensure!(key.len() >= MIN_KEY_BYTES, "the API key is too short: at least {MIN_KEY_BYTES} characters");
+        telemetry::hide(&key);
+        Ok(Some(key))
+    }
+
+    /// Whether this server can be reached from other machines and nothing was said about that.
+    #[must_use]
+    pub fn wants_keys(&self) -> bool {
+        !self.listen.ip().is_loopback() && !self.access.allow_anybody
     }
 }
 

@@ -34,6 +34,12 @@ pub enum Error {
     NoEmbeddings { scene_id: String },
     #[error("there is no answer {id}")]
     AnswerNotFound { id: String },
+    #[error("there is no key {id}")]
+    KeyNotFound { id: String },
+    #[error("the key this was asked for with is refused by now")]
+    KeyRefused,
+    #[error("this key may have {most} scenes and has them: delete one, or ask for more")]
+    TooManyScenes { most: u32 },
     #[error("there is no batch {id}")]
     BatchNotFound { id: String },
     #[error("batch {id} is {state} and stays so")]
@@ -213,6 +219,9 @@ impl Error {
             Self::NoEmbeddings { .. } => "no_embeddings",
             Self::AnswerNotFound { .. } => "answer_not_found",
             Self::BatchNotFound { .. } => "batch_not_found",
+            Self::KeyNotFound { .. } => "key_not_found",
+            Self::KeyRefused => "key_refused",
+            Self::TooManyScenes { .. } => "quota_used_up",
             Self::BatchOver { .. } => "batch_over",
             Self::TooManyItems { .. } => "too_many_items",
             Self::SceneNotReady { .. } => "scene_not_ready",

@@ -3,6 +3,7 @@
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::de::DeserializeOwned;
 use uniground_core::models::neural::Provider;
+use uniground_types::keys::Scope;
 use uniground_types::question::{EvidenceMode, ReasonerChoice};
 use uniground_types::settings::ParsePreset;
 
@@ -17,6 +18,14 @@ pub fn preset() -> impl TypedValueParser<Value = ParsePreset> {
 
 pub fn reasoner() -> impl TypedValueParser<Value = ReasonerChoice> {
     words(&[("auto", "A vision-language model when one is configured, else the built-in reasoner"), ("vlm", ""), ("builtin", "")])
+}
+
+pub fn scope() -> impl TypedValueParser<Value = Scope> {
+    words(&[
+        ("read", "Look at everything, and ask"),
+        ("write", "Also upload, parse and delete scenes, and submit batches"),
+        ("admin", "Also make and revoke keys"),
+    ])
 }
 
 pub fn evidence() -> impl TypedValueParser<Value = EvidenceMode> {
@@ -56,5 +65,6 @@ mod tests {
         check(preset());
         check(reasoner());
         check(evidence());
+        check(scope());
     }
 }

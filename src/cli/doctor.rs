@@ -2,7 +2,7 @@
 
 use super::table;
 use crate::jobs::Jobs;
-use crate::service::{Service, Trouble};
+use crate::service::{Keyring, Service, Trouble};
 use crate::store::Store;
 use crate::{config, telemetry};
 use anyhow::{Context, bail, ensure};
@@ -27,7 +27,8 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     let store = Store::open_as_it_is(data_dir).await.with_context(|| format!("the data folder {data_dir}"))?;
     let limits = config::LimitsConfig::default();
     let jobs = Jobs::new(store.clone(), limits.max_queued_jobs);
-    let service = Service::new(store.clone(), jobs, limits.service_limits(), None, Models::default(), background::pool()?);
+    let keys = Keyring::open(store.clone(), None).await?;
+    let service = Service::new(store.clone(), jobs, keys, limits.service_limits(), None, Models::default(), background::pool()?);
     let findings = service.examine().await?;
     if findings.is_empty() {
         println!("{data_dir} is whole");

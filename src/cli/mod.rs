@@ -5,6 +5,7 @@ mod demo;
 mod doctor;
 mod eval;
 mod ground;
+mod key;
 mod models;
 mod openapi;
 mod parse;
@@ -32,6 +33,8 @@ enum Command {
     Ground(ground::GroundArgs),
     /// Ask a running server many questions
     Batch(batch::BatchArgs),
+    /// Make, list and revoke the keys of callers
+    Key(key::KeyArgs),
     /// Cut a scan into instances, without a server
     Parse(parse::ParseArgs),
     /// Score expressions with known answers
@@ -54,6 +57,7 @@ pub fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Demo(args) => asynchronous(demo::run(args)),
         Command::Ground(args) => asynchronous(ground::run(args)),
         Command::Batch(args) => asynchronous(batch::run(args)),
+        Command::Key(args) => asynchronous(key::run(args)),
         Command::Parse(args) => parse::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Models(args) => models::run(args),

@@ -6,6 +6,7 @@ use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::{Alternative, Status};
 use uniground_types::answer::Answer;
 use uniground_types::instances::InstanceView;
+use uniground_types::keys::Key;
 
 const WIDTH: u16 = 110;
 
@@ -48,6 +49,38 @@ pub fn of_findings(findings: &[Finding]) -> Table {
         table.add_row(vec![trouble.to_string(), detail.clone(), trouble.remedy().unwrap_or("none").to_owned()]);
     }
     table
+}
+
+/// Keys of a server.
+pub fn of_keys(keys: &[Key]) -> Table {
+    let mut table = empty();
+    table.set_header(vec!["Begins", "Name", "Scope", "Limits", "Spent today", "Last used", "State"]);
+    for key in keys {
+        let limits = [
+            key.requests_per_minute.map(|n| format!("{n} a minute")),
+            key.max_scenes.map(|n| format!("{n} scenes")),
+            key.daily_usd.map(|usd| format!("{usd} USD a day")),
+        ];
+        let state = match (&key.revoked_at, &key.expires_at) {
+            (Some(at), _) => format!("revoked {}", day_of(at)),
+            (None, Some(at)) => format!("until {}", day_of(at)),
+            (None, None) => "good".into(),
+        };
+        table.add_row(vec![
+            key.prefix.clone(),
+            key.name.clone(),
+            key.scope.word().to_owned(),
+            limits.into_iter().flatten().collect::<Vec<_>>().join(", "),
+            format!("{:.4} USD", key.spent_today_usd),
+            key.last_used_at.as_deref().map_or_else(|| "never".into(), |at| at.chars().take(16).collect()),
+            state,
+        ]);
+    }
+    table
+}
+
+fn day_of(at: &str) -> &str {
+    at.get(..10).unwrap_or(at)
 }
 
 /// The tied objects of an ambiguous answer.

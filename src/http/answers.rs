@@ -2,15 +2,92 @@
 
 use super::App;
 use super::Binary;
-use super::extract::Path;
+use super::batches::media_type_of;
+use super::extract::{Path, Query};
+use super::paging::checked;
 use super::problem::Refused;
+use crate::error::Error;
+use crate::service::LineFormat;
+use crate::store::AnswerFilter;
 use axum::Json;
+use axum::body::Body;
 use axum::extract::State;
 use axum::http::header;
-use axum::response::IntoResponse;
-use uniground_types::answer::Answer;
+use axum::response::{IntoResponse, Response};
+use jiff::Timestamp;
+use serde::Deserialize;
+use uniground_types::answer::{Answer, AnswerList, Status};
 use uniground_types::problem::Problem;
 use uniground_types::transcript::{AnswerPrompt, AnswerReply};
+use utoipa::IntoParams;
+
+/// Which answers are wanted; what is not said is any.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ListParameters {
+    /// About this scene.
+    scene_id: Option<String>,
+    /// To questions of this batch.
+    batch_id: Option<String>,
+    /// With this status.
+    #[param(inline)]
+    status: Option<Status>,
+    /// Given then or later, RFC 3339.
+    #[param(format = DateTime)]
+    since: Option<String>,
+    /// Given before, RFC 3339.
+    #[param(format = DateTime)]
+    until: Option<String>,
+    /// Entries per page.
+    #[param(minimum = 1, maximum = 100, default = 20)]
+    limit: Option<u32>,
+    /// `next_cursor` of the page before.
+    cursor: Option<String>,
+    /// All of them instead of a page: as JSON, a line each, or as a table of their figures.
+    #[param(inline)]
+    format: Option<LineFormat>,
+}
+
+/// Lists answers that were kept, newest first: a page, or with `format` all of them, streamed.
+#[utoipa::path(
+    get, path = "/v1/answers", tag = "grounding", params(ListParameters),
+    responses(
+        (status = 200, content((AnswerList = "application/json"), (Answer = "application/jsonl"), (String = "text/csv"))),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["read"]), ())
+)]
+pub async fn list(State(app): State<App>, Query(parameters): Query<ListParameters>) -> Result<Response, Refused> {
+    let ListParameters { scene_id, batch_id, status, since, until, limit, cursor, format } = parameters;
+    let status = status.map(serde_json::to_value).transpose().map_err(Error::from)?;
+    let filter = AnswerFilter {
+        scene_id,
+        batch_id,
+        status: status.and_then(|word| word.as_str().map(str::to_owned)),
+        since: time("since", since)?,
+        until: time("until", until)?,
+    };
+    if let Some(format) = format {
+        if limit.is_some() || cursor.is_some() {
+            return Err(Refused::invalid("format", "gives all answers: without limit and cursor"));
+        }
+        let shutdown = app.shutdown.clone().cancelled_owned();
+        // Who reads a long list does not keep the server from stopping.
+        let lines = futures::StreamExt::take_until(app.service.all_answers(filter, format), shutdown);
+        return Ok(([(header::CONTENT_TYPE, media_type_of(format))], Body::from_stream(lines)).into_response());
+    }
+    let (limit, cursor) = checked(limit.unwrap_or(super::paging::DEFAULT_LIMIT), cursor)?;
+    let page = app.service.answers(&filter, limit, cursor.as_deref()).await?;
+    Ok(([(header::CONTENT_TYPE, "application/json")], page).into_response())
+}
+
+fn time(parameter: &str, text: Option<String>) -> Result<Option<Timestamp>, Error> {
+    let time = text.map(|text| text.parse()).transpose();
+    time.map_err(|_| Error::invalid(parameter, "must be a time like 2026-11-22T18:00:00Z"))
+}
 
 /// An answer as it was given, whole.
 #[utoipa::path(
@@ -19,8 +96,9 @@ use uniground_types::transcript::{AnswerPrompt, AnswerReply};
         (status = 200, body = Answer),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn get(State(app): State<App>, Path(answer_id): Path<String>) -> Result<impl IntoResponse, Refused> {
     Ok(([(header::CONTENT_TYPE, "application/json")], app.service.answer(&answer_id).await?))
@@ -37,8 +115,9 @@ pub async fn get(State(app): State<App>, Path(answer_id): Path<String>) -> Resul
         (status = 200, body = Binary, content_type = "image/jpeg"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn picture(State(app): State<App>, Path((answer_id, picture)): Path<(String, String)>) -> Result<impl IntoResponse, Refused> {
     Ok(([(header::CONTENT_TYPE, "image/jpeg")], app.service.answer_picture(&answer_id, &picture).await?))
@@ -51,8 +130,9 @@ pub async fn picture(State(app): State<App>, Path((answer_id, picture)): Path<(S
         (status = 200, body = AnswerPrompt),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn prompt(State(app): State<App>, Path(answer_id): Path<String>) -> Result<Json<AnswerPrompt>, Refused> {
     Ok(Json(app.service.answer_prompt(&answer_id).await?))
@@ -65,8 +145,9 @@ pub async fn prompt(State(app): State<App>, Path(answer_id): Path<String>) -> Re
         (status = 200, body = AnswerReply),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn reply(State(app): State<App>, Path(answer_id): Path<String>) -> Result<Json<AnswerReply>, Refused> {
     Ok(Json(app.service.answer_reply(&answer_id).await?))

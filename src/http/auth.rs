@@ -1,52 +1,101 @@
-//! One key for the whole service, as a bearer token. Off on a loopback bind unless a key is set.
+//! Who asks, and whether they may: keys as bearer tokens, scopes, rates. What was done is written down.
 
-use super::App;
-use super::problem::Refused;
+use super::problem::{Refused, request_id};
+use super::{App, Scopes};
+use crate::service::{Allowance, Caller, Denied, Done};
 use axum::extract::{Request, State};
-use axum::http::{HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use sha2::{Digest, Sha256};
+use uniground_types::keys::Scope;
 use utoipa::Modify;
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 
-/// The key callers must show. Only its hash is kept in memory.
-pub struct ApiKey([u8; 32]);
+/// As in the draft standard "`RateLimit` header fields for HTTP".
+const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
+const RATE_LIMIT_POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
 
-impl ApiKey {
-    #[must_use]
-    pub fn new(key: &str) -> Self {
-        Self(Sha256::digest(key).into())
+/// Lets a request past whose caller may do what its route does, and writes down what changed something.
+pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> Response {
+    let Some(wanted) = app.scopes.wanted_by(&request) else { return next.run(request).await };
+    let caller = match app.service.keys.caller(bearer(request.headers())) {
+        Ok(caller) => caller,
+        Err(denied) => return unauthorized(denied),
+    };
+    let allowance = match &caller.key {
+        Some(key) => {
+            app.service.keys.note_use(key);
+            match key.count() {
+                Ok(allowance) => allowance,
+                Err((wait_s, allowance)) => return limited(too_fast(wait_s), Some(allowance)),
+            }
+        }
+        None => None,
+    };
+    if caller.scope < wanted {
+        let detail = format!("this key may {:?}, this needs a key that may {:?}", caller.scope.word(), wanted.word());
+        return limited(Refused::new(StatusCode::FORBIDDEN, "scope_missing", detail).into_response(), allowance);
     }
-
-    /// Compares hashes: how long that takes says nothing about the key.
-    fn matches(&self, presented: &str) -> bool {
-        let presented: [u8; 32] = Sha256::digest(presented).into();
-        presented.iter().zip(self.0).fold(0, |difference, (a, b)| difference | (a ^ b)) == 0
+    // Whatever needs more than reading changes something, or looks at what only admins see.
+    let done = (wanted > Scope::Read && !request.method().is_safe()).then(|| Done {
+        method: request.method().to_string(),
+        path: request.uri().path().to_owned(),
+        status: 0,
+        request_id: request_id(request.headers()),
+    });
+    request.extensions_mut().insert(caller.clone());
+    let response = next.run(request).await;
+    if let Some(done) = done {
+        app.service.keys.note(&caller, Done { status: response.status().as_u16(), ..done }).await;
     }
+    limited(response, allowance)
 }
 
-/// Lets nobody past without the key, where one is set; health stays open.
-pub async fn require_key(State(app): State<App>, request: Request, next: Next) -> Response {
-    let Some(key) = &app.api_key else { return next.run(request).await };
-    if matches!(request.uri().path(), "/healthz" | "/readyz") {
-        return next.run(request).await;
-    }
-    let presented = request
-        .headers()
-        .get(header::AUTHORIZATION)
-        .and_then(|v| v.to_str().ok())
-        .and_then(|v| v.split_once(' '))
-        .filter(|(scheme, _)| scheme.eq_ignore_ascii_case("bearer"))
-        .map(|(_, presented)| presented);
-    if presented.is_some_and(|presented| key.matches(presented.trim())) {
-        return next.run(request).await;
-    }
-    let mut refused =
-        Refused::new(StatusCode::UNAUTHORIZED, "unauthorized", "this server wants a key: Authorization: Bearer <key>").into_response();
+/// The token somebody shows.
+fn bearer(headers: &HeaderMap) -> Option<&str> {
+    let shown = headers.get(header::AUTHORIZATION)?.to_str().ok()?;
+    let (scheme, token) = shown.split_once(' ')?;
+    scheme.eq_ignore_ascii_case("bearer").then_some(token.trim())
+}
+
+fn unauthorized(denied: Denied) -> Response {
+    let detail = match denied {
+        Denied::NoKey | Denied::UnknownKey => "this server wants a key: Authorization: Bearer <key>",
+        Denied::Expired => "this key has expired",
+        Denied::Revoked => "this key was revoked",
+    };
+    let mut refused = Refused::new(StatusCode::UNAUTHORIZED, "unauthorized", detail).into_response();
     refused.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));
     refused
 }
+
+fn too_fast(wait_s: u64) -> Response {
+    Refused::new(StatusCode::TOO_MANY_REQUESTS, "rate_limited", format!("this key asks too often: try again in {wait_s} s"))
+        .after(u32::try_from(wait_s).unwrap_or(u32::MAX))
+        .into_response()
+}
+
+/// Tells what is left of the key's requests.
+fn limited(mut response: Response, allowance: Option<Allowance>) -> Response {
+    if let Some(Allowance { per_minute, left, reset_s }) = allowance {
+        let told = [(RATE_LIMIT_POLICY, format!("\"key\";q={per_minute};w=60")), (RATE_LIMIT, format!("\"key\";r={left};t={reset_s}"))];
+        for (name, value) in told {
+            if let Ok(value) = HeaderValue::from_str(&value) {
+                response.headers_mut().insert(name, value);
+            }
+        }
+    }
+    response
+}
+
+/// The scopes of all routes.
+#[must_use]
+pub fn scopes() -> Scopes {
+    Scopes::of(&super::openapi())
+}
+
+/// Who asks, for handlers.
+pub type Asking = axum::Extension<Caller>;
 
 /// Declares the bearer scheme in the description.
 pub struct BearerAuth;
@@ -54,18 +103,8 @@ pub struct BearerAuth;
 impl Modify for BearerAuth {
     fn modify(&self, openapi: &mut utoipa::openapi::OpenApi) {
         let components = openapi.components.get_or_insert_default();
-        components.add_security_scheme("key", SecurityScheme::Http(Http::new(HttpAuthScheme::Bearer)));
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn only_the_key_itself_matches() {
-        let key = ApiKey::new("ug_secret");
-        assert!(key.matches("ug_secret"));
-        assert!(!key.matches("ug_secre") && !key.matches("") && !key.matches("ug_secret "));
+        let mut scheme = Http::new(HttpAuthScheme::Bearer);
+        scheme.description = Some("The scopes of an operation name what a key must allow: read, write or admin.".into());
+        components.add_security_scheme("key", SecurityScheme::Http(scheme));
     }
 }

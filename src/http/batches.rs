@@ -1,10 +1,11 @@
 //! `/v1/batches`
 
-use super::App;
 use super::extract::{Json, Path, Query};
 use super::paging::Page;
 use super::problem::Refused;
-use crate::service::{Body, ResultFormat, Results, Submission};
+use super::{App, Asking};
+use crate::service::{Body, LineFormat, Results, Submission};
+use axum::Extension;
 use axum::body::{Body as AxumBody, BodyDataStream};
 use axum::extract::{FromRequest, Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
@@ -46,16 +47,18 @@ pub struct CreateParameters {
         (status = 202, body = Batch),
         (status = 400, body = Problem, content_type = "application/problem+json"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
         (status = 413, body = Problem, content_type = "application/problem+json"),
         (status = 415, body = Problem, content_type = "application/problem+json"),
         (status = 422, body = Problem, content_type = "application/problem+json"),
         (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["write"]), ())
 )]
 pub async fn create(
     State(app): State<App>,
     Query(CreateParameters { scene_id, label, concurrency, max_cost_usd }): Query<CreateParameters>,
+    Extension(caller): Asking,
     headers: HeaderMap,
     request: Request,
 ) -> Result<(StatusCode, axum::Json<Batch>), Refused> {
@@ -72,7 +75,9 @@ pub async fn create(
         "application/jsonl" | "application/x-ndjson" => {
             let defaults: Map<String, Value> = scene_id.map(|id| ("scene_id".to_owned(), Value::String(id))).into_iter().collect();
             let submission = Submission { label, concurrency, max_cost_usd, idempotency_key, defaults };
-            app.service.create_batch(submission, Body::Lines(request.into_body().into_data_stream())).await?
+            app.service
+                .create_batch(submission, Body::Lines(request.into_body().into_data_stream()), &caller)
+                .await?
         }
         "application/json" => {
             if scene_id.is_some() || label.is_some() || concurrency.is_some() || max_cost_usd.is_some() {
@@ -83,7 +88,7 @@ pub async fn create(
             }
             let Json(request) = Json::<BatchRequest>::from_request(request, &()).await?;
             let (submission, items) = Submission::of(request, idempotency_key);
-            app.service.create_batch(submission, Body::<BodyDataStream>::Items(items)).await?
+            app.service.create_batch(submission, Body::<BodyDataStream>::Items(items), &caller).await?
         }
         other => {
             let detail = format!("a batch is application/json or application/jsonl, not {other:?}");
@@ -100,8 +105,9 @@ pub async fn create(
         (status = 200, body = BatchList),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<axum::Json<BatchList>, Refused> {
     let (limit, cursor) = page.checked()?;
@@ -115,8 +121,9 @@ pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<ax
         (status = 200, body = Batch),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn get(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
     Ok(axum::Json(app.service.batch(&batch_id).await?))
@@ -133,7 +140,7 @@ pub struct ResultParameters {
     /// `jsonl` or `csv`.
     #[serde(default)]
     #[param(inline)]
-    format: ResultFormat,
+    format: LineFormat,
     /// Wait for items that are still asked, until the batch ends or pauses; else the results end at the first that is.
     #[serde(default)]
     follow: bool,
@@ -147,23 +154,28 @@ pub struct ResultParameters {
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn results(
     State(app): State<App>,
     Path(batch_id): Path<String>,
     Query(ResultParameters { from, format, follow }): Query<ResultParameters>,
 ) -> Result<impl IntoResponse, Refused> {
-    let media_type = match format {
-        ResultFormat::Jsonl => "application/jsonl",
-        ResultFormat::Csv => "text/csv; charset=utf-8",
-    };
     let shutdown = app.shutdown.clone().cancelled_owned();
     let results = app.service.batch_results(Results { batch_id, from, format, follow }).await?;
     // Who follows a batch does not keep the server from stopping.
     let results = futures::StreamExt::take_until(results, shutdown);
-    Ok(([(header::CONTENT_TYPE, media_type)], AxumBody::from_stream(results)))
+    Ok(([(header::CONTENT_TYPE, media_type_of(format))], AxumBody::from_stream(results)))
+}
+
+/// Of things written one after the other.
+pub(super) fn media_type_of(format: LineFormat) -> &'static str {
+    match format {
+        LineFormat::Jsonl => "application/jsonl",
+        LineFormat::Csv => "text/csv; charset=utf-8",
+    }
 }
 
 /// Stops asking until somebody resumes it. Questions under way are answered.
@@ -172,10 +184,12 @@ pub async fn results(
     responses(
         (status = 200, body = Batch),
         (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["write"]), ())
 )]
 pub async fn pause(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
     Ok(axum::Json(app.service.pause_batch(&batch_id).await?))
@@ -187,11 +201,12 @@ pub async fn pause(State(app): State<App>, Path(batch_id): Path<String>) -> Resu
     responses(
         (status = 200, body = Batch),
         (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
         (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["write"]), ())
 )]
 pub async fn resume(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
     Ok(axum::Json(app.service.resume_batch(&batch_id).await?))
@@ -203,10 +218,12 @@ pub async fn resume(State(app): State<App>, Path(batch_id): Path<String>) -> Res
     responses(
         (status = 200, body = Batch),
         (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["write"]), ())
 )]
 pub async fn cancel(State(app): State<App>, Path(batch_id): Path<String>) -> Result<axum::Json<Batch>, Refused> {
     Ok(axum::Json(app.service.cancel_batch(&batch_id).await?))

@@ -1,8 +1,9 @@
 //! `/v1/scenes/{scene_id}/ground` and `/shortlist`
 
-use super::App;
 use super::extract::{Json, Path};
 use super::problem::Refused;
+use super::{App, Asking};
+use axum::Extension;
 use axum::extract::State;
 use uniground_types::answer::{Answer, Shortlisted};
 use uniground_types::problem::Problem;
@@ -27,14 +28,15 @@ use uniground_types::question::{GroundRequest, ShortlistRequest};
         (status = 502, body = Problem, content_type = "application/problem+json"),
         (status = 504, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn ground(
     State(app): State<App>,
     Path(scene_id): Path<String>,
+    Extension(caller): Asking,
     Json(request): Json<GroundRequest>,
 ) -> Result<axum::Json<Answer>, Refused> {
-    Ok(axum::Json(app.service.ground(&scene_id, request).await?))
+    Ok(axum::Json(app.service.ground(&scene_id, request, caller).await?))
 }
 
 /// The candidates for a query, without reasoning over relations.
@@ -53,7 +55,7 @@ pub async fn ground(
         (status = 422, body = Problem, content_type = "application/problem+json"),
         (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn shortlist(
     State(app): State<App>,

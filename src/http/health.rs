@@ -12,8 +12,8 @@ use uniground_types::service::{Health, ModelList, Readiness};
 /// The models this server was started with; none when all parts are built in.
 #[utoipa::path(
     get, path = "/v1/models", tag = "service",
-    responses((status = 200, body = ModelList), (status = 401, body = Problem, content_type = "application/problem+json")),
-    security(("key" = []), ())
+    responses((status = 200, body = ModelList), (status = 401, body = Problem, content_type = "application/problem+json"), (status = 429, body = Problem, content_type = "application/problem+json")),
+    security(("key" = ["read"]), ())
 )]
 pub async fn models(State(app): State<App>) -> Json<ModelList> {
     Json(ModelList { models: app.service.loaded_models().to_vec(), vlm: app.service.vlm_model().map(str::to_owned) })

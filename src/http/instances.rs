@@ -45,8 +45,9 @@ fn default_limit() -> u32 {
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
         (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn list(
     State(app): State<App>,
@@ -68,8 +69,9 @@ pub async fn list(
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn get(State(app): State<App>, Path((scene_id, instance_id)): Path<(String, u32)>) -> Result<Json<InstanceView>, Refused> {
     Ok(Json(app.service.instance(&scene_id, InstanceId(instance_id)).await?))
@@ -95,8 +97,9 @@ pub struct ViewParameters {
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
         (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn view(
     State(app): State<App>,

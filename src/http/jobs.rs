@@ -1,18 +1,22 @@
 //! `/v1/jobs`
 
-use super::extract::Path;
+use super::extract::{Path, Query};
+use super::paging::{DEFAULT_LIMIT, checked};
 use super::problem::Refused;
 use super::{App, MAX_EVENT_STREAMS};
 use crate::error::Error;
-use crate::jobs::{Job, JobsError};
+use crate::jobs::{Job, JobList, JobsError};
+use crate::store::{JobFilter, JobState};
 use axum::Json;
 use axum::extract::State;
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::sse::{Event, KeepAlive, Sse};
 use futures::{Stream, stream};
+use serde::Deserialize;
 use std::convert::Infallible;
 use std::time::Duration;
 use uniground_types::problem::Problem;
+use utoipa::IntoParams;
 
 /// One event of a job's stream.
 #[derive(utoipa::ToSchema)]
@@ -29,6 +33,43 @@ pub struct JobEvent {
 /// How often a job is looked at for its event stream.
 const LOOK_EVERY: Duration = Duration::from_millis(150);
 
+/// Which jobs are wanted; what is not said is any.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ListParameters {
+    /// `parse`, `naming`, `batch`.
+    kind: Option<String>,
+    /// Where they stand.
+    #[param(inline)]
+    state: Option<JobState>,
+    /// What they work on: the id of a scene, or of a batch.
+    subject: Option<String>,
+    /// Entries per page.
+    #[param(minimum = 1, maximum = 100, default = 20)]
+    limit: Option<u32>,
+    /// `next_cursor` of the page before.
+    cursor: Option<String>,
+}
+
+/// Lists jobs, newest first.
+#[utoipa::path(
+    get, path = "/v1/jobs", tag = "jobs", params(ListParameters),
+    responses(
+        (status = 200, body = JobList),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["read"]), ())
+)]
+pub async fn list(State(app): State<App>, Query(parameters): Query<ListParameters>) -> Result<Json<JobList>, Refused> {
+    let ListParameters { kind, state, subject, limit, cursor } = parameters;
+    let (limit, cursor) = checked(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
+    let filter = JobFilter { kind, state, subject };
+    Ok(Json(app.service.jobs.list(&filter, limit, cursor.as_deref()).await.map_err(Error::from)?))
+}
+
 /// A job as it stands.
 #[utoipa::path(
     get, path = "/v1/jobs/{job_id}", tag = "jobs", params(("job_id" = String, Path)),
@@ -36,8 +77,9 @@ const LOOK_EVERY: Duration = Duration::from_millis(150);
         (status = 200, body = Job),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn get(State(app): State<App>, Path(job_id): Path<String>) -> Result<Json<Job>, Refused> {
     Ok(Json(app.service.jobs.get(&job_id).await.map_err(Error::from)?))
@@ -49,9 +91,11 @@ pub async fn get(State(app): State<App>, Path(job_id): Path<String>) -> Result<J
     responses(
         (status = 202, body = Job, description = "Asked to stop; the job as it stands"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["write"]), ())
 )]
 pub async fn cancel(State(app): State<App>, Path(job_id): Path<String>) -> Result<(StatusCode, Json<Job>), Refused> {
     Ok((StatusCode::ACCEPTED, Json(app.service.jobs.cancel(&job_id).await.map_err(Error::from)?)))
@@ -69,7 +113,7 @@ pub async fn cancel(State(app): State<App>, Path(job_id): Path<String>) -> Resul
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn events(
     State(app): State<App>,

@@ -10,16 +10,19 @@ mod health;
 mod hosts;
 mod instances;
 mod jobs;
+mod keys;
 mod paging;
 mod problem;
 mod reports;
 mod scenes;
+mod scopes;
 
-pub use auth::ApiKey;
-use auth::BearerAuth;
+pub use auth::scopes;
+use auth::{Asking, BearerAuth};
 pub use connections::serve;
 pub use hosts::AllowedHosts;
 use problem::Refused;
+pub use scopes::Scopes;
 
 use crate::service::Service;
 use axum::extract::{MatchedPath, Request};
@@ -46,8 +49,8 @@ use utoipa_swagger_ui::{Config, SwaggerUi};
 #[derive(Clone)]
 pub struct App {
     pub service: Service,
-    /// Required from callers when set.
-    pub api_key: Option<Arc<ApiKey>>,
+    /// What each route wants of its callers.
+    pub scopes: Arc<Scopes>,
     /// Cancelled when the server stops: open event streams end.
     pub shutdown: CancellationToken,
     /// Cancelled when a lane of jobs has ended.
@@ -75,6 +78,7 @@ pub const MAX_EVENT_STREAMS: usize = 256;
         (name = "grounding", description = "Questions and answers"),
         (name = "batches", description = "Lists of questions, asked in the background"),
         (name = "jobs", description = "Work in the background"),
+        (name = "keys", description = "Who may ask, and what was done"),
         (name = "service", description = "Health")
     ),
     modifiers(&BearerAuth)
@@ -103,6 +107,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(instances::list))
         .routes(routes!(instances::get))
         .routes(routes!(instances::view))
+        .routes(routes!(jobs::list))
         .routes(routes!(jobs::get, jobs::cancel))
         .routes(routes!(jobs::events))
         .routes(routes!(grounding::ground))
@@ -113,10 +118,14 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(batches::pause))
         .routes(routes!(batches::resume))
         .routes(routes!(batches::cancel))
+        .routes(routes!(answers::list))
         .routes(routes!(answers::get))
         .routes(routes!(answers::picture))
         .routes(routes!(answers::prompt))
         .routes(routes!(answers::reply))
+        .routes(routes!(keys::create, keys::list))
+        .routes(routes!(keys::revoke))
+        .routes(routes!(keys::audit))
         .routes(routes!(health::models))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
@@ -136,7 +145,7 @@ pub fn router(app: App) -> Router {
         .url("/openapi.json", openapi)
         .config(Config::default().validator_url("none"));
     router
-        .layer(middleware::from_fn_with_state(app.clone(), auth::require_key))
+        .layer(middleware::from_fn_with_state(app.clone(), auth::check))
         .with_state(app.clone())
         // Health, the description and its page are open to everybody: the key protects scans and questions.
         .merge(page)

@@ -17,20 +17,27 @@ pub struct Page {
     cursor: Option<String>,
 }
 
+/// Entries per page, where nobody says.
+pub const DEFAULT_LIMIT: u32 = 20;
+
 fn default_limit() -> u32 {
-    20
+    DEFAULT_LIMIT
 }
 
 impl Page {
     /// Limit and cursor, an id.
     pub fn checked(self) -> Result<(u32, Option<String>), Error> {
-        let Self { limit, cursor } = self;
-        if !(1..=100).contains(&limit) {
-            return Err(Error::invalid("limit", "must be 1 to 100"));
-        }
-        if cursor.as_ref().is_some_and(|cursor| cursor.parse::<uuid::Uuid>().is_err()) {
-            return Err(Error::invalid("cursor", "must be the next_cursor of the page before"));
-        }
-        Ok((limit, cursor))
+        checked(self.limit, self.cursor)
     }
+}
+
+/// The same for lists with more parameters.
+pub fn checked(limit: u32, cursor: Option<String>) -> Result<(u32, Option<String>), Error> {
+    if !(1..=100).contains(&limit) {
+        return Err(Error::invalid("limit", "must be 1 to 100"));
+    }
+    if cursor.as_ref().is_some_and(|cursor| cursor.parse::<uuid::Uuid>().is_err()) {
+        return Err(Error::invalid("cursor", "must be the next_cursor of the page before"));
+    }
+    Ok((limit, cursor))
 }

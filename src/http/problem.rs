@@ -48,6 +48,13 @@ impl Refused {
         serde_json::json!(self.0).to_string()
     }
 
+    /// The caller may try again after so many seconds.
+    #[must_use]
+    pub fn after(mut self, seconds: u32) -> Self {
+        self.0.retry_after_s = Some(seconds);
+        self
+    }
+
     pub fn invalid(pointer: impl Into<String>, detail: impl Into<String>) -> Self {
         let (pointer, detail) = (pointer.into(), detail.into());
         let mut refused = Self::new(StatusCode::UNPROCESSABLE_ENTITY, "invalid_request", format!("{pointer}: {detail}"));
@@ -126,11 +133,13 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::NoEmbeddings { .. }
         | Error::AnswerNotFound { .. }
         | Error::BatchNotFound { .. }
+        | Error::KeyNotFound { .. }
         | Error::NoTranscript { .. }
         | Error::AnswerPictureNotFound { .. } => StatusCode::NOT_FOUND,
         Error::SceneNotReady { .. } | Error::EncoderChanged { .. } | Error::BatchOver { .. } => StatusCode::CONFLICT,
         Error::VlmNotConfigured | Error::VlmFailed { .. } | Error::Model(_) => StatusCode::BAD_GATEWAY,
         Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
+        Error::TooManyScenes { .. } | Error::KeyRefused => StatusCode::FORBIDDEN,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
         Error::Overloaded | Error::TooMany { .. } => StatusCode::TOO_MANY_REQUESTS,
         Error::ParseDamaged { .. } => StatusCode::SERVICE_UNAVAILABLE,
@@ -192,7 +201,7 @@ pub async fn name_request(request: Request, next: Next) -> Response {
     }
 }
 
-fn request_id(headers: &HeaderMap) -> Option<String> {
+pub fn request_id(headers: &HeaderMap) -> Option<String> {
     headers.get(REQUEST_ID).and_then(|id| id.to_str().ok()).map(str::to_owned)
 }
 

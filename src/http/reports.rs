@@ -20,8 +20,9 @@ use uniground_types::scenes::SceneReport;
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Json<SceneReport>, Refused> {
     Ok(Json(app.service.scene_report(&scene_id).await?))
@@ -36,8 +37,9 @@ pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn picture(State(app): State<App>, Path((scene_id, picture)): Path<(String, String)>) -> Result<Response, Refused> {
     let name = picture.strip_suffix(".jpg").ok_or_else(|| Error::ReportPictureNotFound { name: picture.clone() })?;

@@ -1,12 +1,13 @@
 //! `/v1/scenes`
 
-use super::App;
 use super::Binary;
 use super::extract::{Json, Path, Query};
 use super::paging::Page;
 use super::problem::Refused;
+use super::{App, Asking};
 use crate::jobs::Job;
 use crate::service::{NewScene, ParseFile};
+use axum::Extension;
 use axum::body::Body;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, StatusCode, header};
@@ -61,16 +62,18 @@ fn yes() -> bool {
         (status = 202, body = Created),
         (status = 400, body = Problem, content_type = "application/problem+json"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
         (status = 413, body = Problem, content_type = "application/problem+json"),
         (status = 415, body = Problem, content_type = "application/problem+json"),
         (status = 422, body = Problem, content_type = "application/problem+json"),
         (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["write"]), ())
 )]
 pub async fn create(
     State(app): State<App>,
     Query(CreateParameters { name, parse, up, preset }): Query<CreateParameters>,
+    Extension(caller): Asking,
     headers: HeaderMap,
     request: Request,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
@@ -84,7 +87,7 @@ pub async fn create(
     let mut settings = ParseSettings::from_request(preset, None).map_err(crate::error::Error::from)?;
     settings.import.up = up;
     let new = NewScene { name, kind, parse: parse.then_some(settings), idempotency_key: header("idempotency-key").map(str::to_owned) };
-    let (scene, job) = app.service.create_scene(new, request.into_body().into_data_stream()).await?;
+    let (scene, job) = app.service.create_scene(new, request.into_body().into_data_stream(), &caller).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
@@ -95,8 +98,9 @@ pub async fn create(
         (status = 200, body = SceneList),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<axum::Json<SceneList>, Refused> {
     let (limit, cursor) = page.checked()?;
@@ -110,8 +114,9 @@ pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<ax
         (status = 200, body = Scene),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result<axum::Json<Scene>, Refused> {
     Ok(axum::Json(app.service.scene(&scene_id).await?))
@@ -124,12 +129,14 @@ pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result
         (status = 200, body = Scene),
         (status = 400, body = Problem, content_type = "application/problem+json"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 413, body = Problem, content_type = "application/problem+json"),
         (status = 415, body = Problem, content_type = "application/problem+json"),
         (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["write"]), ())
 )]
 pub async fn rename(
     State(app): State<App>,
@@ -145,9 +152,11 @@ pub async fn rename(
     responses(
         (status = 204, description = "Gone"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["write"]), ())
 )]
 pub async fn delete(State(app): State<App>, Path(scene_id): Path<String>) -> Result<StatusCode, Refused> {
     app.service.delete_scene(&scene_id).await?;
@@ -161,13 +170,14 @@ pub async fn delete(State(app): State<App>, Path(scene_id): Path<String>) -> Res
         (status = 202, body = Job),
         (status = 400, body = Problem, content_type = "application/problem+json"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 413, body = Problem, content_type = "application/problem+json"),
         (status = 415, body = Problem, content_type = "application/problem+json"),
         (status = 422, body = Problem, content_type = "application/problem+json"),
         (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["write"]), ())
 )]
 pub async fn parse(
     State(app): State<App>,
@@ -185,15 +195,20 @@ pub async fn parse(
     responses(
         (status = 202, body = Job),
         (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
         (status = 429, body = Problem, content_type = "application/problem+json"),
         (status = 502, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["write"]), ())
 )]
-pub async fn name(State(app): State<App>, Path(scene_id): Path<String>) -> Result<(StatusCode, axum::Json<Job>), Refused> {
-    Ok((StatusCode::ACCEPTED, axum::Json(app.service.start_naming(&scene_id).await?)))
+pub async fn name(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    Extension(caller): Asking,
+) -> Result<(StatusCode, axum::Json<Job>), Refused> {
+    Ok((StatusCode::ACCEPTED, axum::Json(app.service.start_naming(&scene_id, &caller).await?)))
 }
 
 /// The cloud in its own colours, PLY.
@@ -204,8 +219,9 @@ pub async fn name(State(app): State<App>, Path(scene_id): Path<String>) -> Resul
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Cloud).await?;
@@ -220,8 +236,9 @@ pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Resu
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Instances).await?;
@@ -237,8 +254,9 @@ pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
     ),
-    security(("key" = []), ())
+    security(("key" = ["read"]), ())
 )]
 pub async fn embeddings(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Embeddings).await?;

@@ -9,7 +9,7 @@ mod queue;
 
 pub use kind::{JobContext, JobFailure, JobKind, Retry};
 pub use queue::{Jobs, JobsError};
-pub use uniground_types::job::{Job, JobError};
+pub use uniground_types::job::{Job, JobError, JobList};
 
 use crate::store::{JobRow, JobState};
 use jiff::Timestamp;
@@ -22,7 +22,7 @@ fn job_of(row: JobRow, now: Timestamp) -> Job {
     let JobRow {
         id,
         kind,
-        subject: _,
+        subject,
         payload: _,
         state,
         stage,
@@ -46,6 +46,7 @@ fn job_of(row: JobRow, now: Timestamp) -> Job {
     Job {
         id,
         kind,
+        subject,
         state,
         stage,
         progress,

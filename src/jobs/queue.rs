@@ -1,7 +1,7 @@
 //! Submitting, watching and cancelling jobs.
 
-use super::{Job, JobKind, job_of};
-use crate::store::{JobRow, JobState, Store, StoreError};
+use super::{Job, JobKind, JobList, job_of};
+use crate::store::{JobFilter, JobRow, JobState, Store, StoreError};
 use jiff::Timestamp;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -111,16 +111,32 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::NotFound`].
     pub async fn get(&self, id: &str) -> Result<Job, JobsError> {
-        let mut row = self.store.job(id).await?.ok_or_else(|| JobsError::NotFound { id: id.into() })?;
-        // The row lags behind: a running job's own word is newer.
+        let row = self.store.job(id).await?.ok_or_else(|| JobsError::NotFound { id: id.into() })?;
+        Ok(self.as_it_stands(row))
+    }
+
+    /// Jobs as they stand, newest first, those before `cursor` (an id) only.
+    ///
+    /// # Errors
+    /// [`JobsError::Store`].
+    pub async fn list(&self, filter: &JobFilter, limit: u32, cursor: Option<&str>) -> Result<JobList, JobsError> {
+        let mut rows = self.store.jobs(filter, limit + 1, cursor).await?;
+        let more = rows.len() > limit as usize;
+        rows.truncate(limit as usize);
+        let next_cursor = rows.last().filter(|_| more).map(|row| row.id.clone());
+        Ok(JobList { jobs: rows.into_iter().map(|row| self.as_it_stands(row)).collect(), next_cursor })
+    }
+
+    /// The row lags behind: a running job's own word is newer.
+    fn as_it_stands(&self, mut row: JobRow) -> Job {
         if row.state == JobState::Running
-            && let Some(running) = self.running().get(id)
+            && let Some(running) = self.running().get(&row.id)
         {
             let Pulse { stage, progress } = running.pulse();
             row.progress = f64::from(progress);
             row.stage = (!stage.is_empty()).then(|| stage.to_owned());
         }
-        Ok(job_of(row, Timestamp::now()))
+        job_of(row, Timestamp::now())
     }
 
     /// A job as it stands, or stood less than `age` ago: those who follow it look at it together.

@@ -2,7 +2,7 @@
 
 use super::Service;
 use crate::error::Error;
-use crate::store::{Damage, Look};
+use crate::store::{Damage, Look, Store};
 use jiff::{Timestamp, ToSpan};
 use std::time::Duration;
 use tokio::task::spawn_blocking;
@@ -45,9 +45,7 @@ impl Service {
             return Ok(());
         }
         let before = Timestamp::now().checked_sub((i64::from(days) * 24).hours()).unwrap_or(Timestamp::MIN);
-        // Ids begin with their time: the first that could have been given then.
-        let millis = u64::try_from(before.as_millisecond()).unwrap_or(0);
-        let first = uuid::Builder::from_unix_timestamp_millis(millis, &[0; 10]).into_uuid().to_string();
+        let first = Store::first_id_at(before);
         let mut forgotten = 0;
         loop {
             let answers = self.store.delete_some_answers_before(&first).await?;

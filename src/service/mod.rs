@@ -8,14 +8,16 @@ mod batches;
 mod doctor;
 mod housekeeping;
 mod instances;
+mod keys;
 mod names;
 mod parses;
 mod scenes;
 mod vlm;
 
-pub use answers::usage;
-pub use batches::{BatchJob, Body, ResultFormat, Results, Submission};
+pub use answers::{LineFormat, usage};
+pub use batches::{BatchJob, Body, Results, Submission};
 pub use doctor::{Finding, Trouble};
+pub use keys::{Allowance, Caller, Denied, Done, Keyring};
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};
 pub use scenes::NewScene;
@@ -55,6 +57,7 @@ pub struct Limits {
 pub struct Service {
     store: Store,
     pub jobs: Jobs,
+    pub keys: Keyring,
     limits: Limits,
     parses: Arc<ParseCache>,
     pictures: Arc<PictureCache>,
@@ -78,10 +81,11 @@ const PATIENCE: Duration = Duration::from_secs(2);
 impl Service {
     /// `parsing` is the pool parses compute in.
     #[must_use]
-    pub fn new(store: Store, jobs: Jobs, limits: Limits, vlm: Option<Vlm>, models: Models, parsing: ThreadPool) -> Self {
+    pub fn new(store: Store, jobs: Jobs, keys: Keyring, limits: Limits, vlm: Option<Vlm>, models: Models, parsing: ThreadPool) -> Self {
         Self {
             store,
             jobs,
+            keys,
             limits,
             parses: Arc::default(),
             pictures: Arc::default(),

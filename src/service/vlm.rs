@@ -1,9 +1,11 @@
 //! The configured vision-language model, and what may be spent on it.
 
+use super::Caller;
 use crate::error::Error;
 use crate::store::{Store, now};
 use futures::FutureExt;
 use futures::future::BoxFuture;
+use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use uniground_core::models::chat::{Budget, ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Prices};
@@ -11,12 +13,14 @@ use uniground_core::models::with_causes;
 
 /// A model and how it is used here.
 pub struct Vlm {
-    /// Writes down what each call costs.
-    pub model: Arc<dyn ChatModel>,
+    /// Asked through [`model_for`](Self::model_for) only: what a call costs is written down.
+    model: Arc<dyn ChatModel>,
+    store: Store,
     settings: VlmSettings,
     /// Questions that wait for the model; more are told to come back.
     places: Arc<Semaphore>,
-    today: Mutex<Option<Today>>,
+    /// By key; of no key: everybody together.
+    today: Mutex<HashMap<String, Today>>,
 }
 
 /// What may be spent on one day.
@@ -41,8 +45,7 @@ const MAX_WAITING: usize = 256;
 impl Vlm {
     #[must_use]
     pub fn new(model: Arc<dyn ChatModel>, settings: VlmSettings, store: Store) -> Self {
-        let model = Arc::new(Metered { model, store });
-        Self { model, settings, places: Arc::new(Semaphore::new(MAX_WAITING)), today: Mutex::default() }
+        Self { model, store, settings, places: Arc::new(Semaphore::new(MAX_WAITING)), today: Mutex::default() }
     }
 
     pub(super) fn name(&self) -> &str {
@@ -58,28 +61,47 @@ impl Vlm {
         self.places.clone().try_acquire_owned().map_err(|_| Error::Overloaded)
     }
 
-    /// What pays for a question: its own budget, where it has one, and the day's.
-    pub(super) async fn budgets(&self, store: &Store, of_question: Option<f64>) -> Result<Vec<Budget>, Error> {
-        let today = self.budget_of_today(store).await?;
-        Ok(of_question.map(|usd| Budget::new("this question", usd)).into_iter().chain([today]).collect())
+    pub(super) fn prices(&self) -> Prices {
+        self.model.prices()
     }
 
-    async fn budget_of_today(&self, store: &Store) -> Result<Budget, Error> {
-        let day = today();
-        let of_day = |known: &Option<Today>| known.as_ref().filter(|today| today.day == day).map(|today| today.budget.clone());
-        let known = of_day(&self.today.lock().unwrap_or_else(PoisonError::into_inner));
-        if let Some(budget) = known {
+    /// The model, asked for somebody: what it costs is written down, for them too.
+    pub(super) fn model_for(&self, caller: &Caller) -> Arc<dyn ChatModel> {
+        let key_id = caller.key_id().map(str::to_owned);
+        Arc::new(Metered { model: self.model.clone(), store: self.store.clone(), key_id })
+    }
+
+    /// What pays for a question: its own budget, where it has one, that of who asks, and the day's.
+    pub(super) async fn budgets(&self, caller: &Caller, of_question: Option<f64>) -> Result<Vec<Budget>, Error> {
+        let mut budgets: Vec<Budget> = of_question.map(|usd| Budget::new("this question", usd)).into_iter().collect();
+        if let Some(key) = &caller.key
+            && let Some(usd) = key.row.daily_usd
+        {
+            budgets.push(self.budget_of_today(Some(&key.row.id), "this key today", usd).await?);
+        }
+        budgets.push(self.budget_of_today(None, "today", self.settings.daily_usd.unwrap_or(f64::INFINITY)).await?);
+        Ok(budgets)
+    }
+
+    async fn budget_of_today(&self, key_id: Option<&str>, of: &'static str, usd: f64) -> Result<Budget, Error> {
+        let (day, who) = (today(), key_id.unwrap_or_default());
+        if let Some(budget) = self.known_budget(who, &day) {
             return Ok(budget);
         }
-        let spent = store.spent_on(&day).await?;
-        let mut today = self.today.lock().unwrap_or_else(PoisonError::into_inner);
+        let spent = match key_id {
+            Some(key_id) => self.store.spent_by_key(key_id, &day).await?,
+            None => self.store.spent_on(&day).await?,
+        };
+        let budget = Budget::new(of, usd).with_spent(spent);
+        let mut budgets = self.today.lock().unwrap_or_else(PoisonError::into_inner);
+        budgets.retain(|_, of| of.day == day);
         // Somebody may have been faster.
-        if let Some(budget) = of_day(&today) {
-            return Ok(budget);
-        }
-        let budget = Budget::new("today", self.settings.daily_usd.unwrap_or(f64::INFINITY)).with_spent(spent);
-        *today = Some(Today { day, budget: budget.clone() });
-        Ok(budget)
+        Ok(budgets.entry(who.to_owned()).or_insert(Today { day, budget }).budget.clone())
+    }
+
+    fn known_budget(&self, who: &str, day: &str) -> Option<Budget> {
+        let budgets = self.today.lock().unwrap_or_else(PoisonError::into_inner);
+        budgets.get(who).filter(|of| of.day == day).map(|of| of.budget.clone())
     }
 }
 
@@ -92,6 +114,8 @@ fn today() -> String {
 struct Metered {
     model: Arc<dyn ChatModel>,
     store: Store,
+    /// Whose call it is.
+    key_id: Option<String>,
 }
 
 impl ChatModel for Metered {
@@ -110,7 +134,7 @@ impl ChatModel for Metered {
                 return self.model.ask(request).await;
             }
             let thought_usd = prices.thought_usd(request);
-            let reserved = self.store.reserve_spending(&today(), thought_usd).await;
+            let reserved = self.store.reserve_spending(&today(), thought_usd, self.key_id.as_deref()).await;
             let id = reserved.map_err(|error| {
                 let error = ChatError::NotRecordable(with_causes(&error));
                 ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 }

@@ -3,8 +3,9 @@
 use super::records::RECORD_VERSION;
 use super::writer::Writer;
 use super::{Store, StoreError, now};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row};
+use jiff::Timestamp;
+use sqlx::sqlite::{Sqlite, SqliteRow};
+use sqlx::{FromRow, QueryBuilder, Row};
 use std::sync::Arc;
 use tokio::sync::{mpsc, oneshot};
 
@@ -21,6 +22,19 @@ impl FromRow<'_, SqliteRow> for AnswerRow {
     fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
         Ok(Self { id: row.try_get("id")?, parse_id: row.try_get("parse_id")?, body: row.try_get("body")? })
     }
+}
+
+/// Which answers are wanted; what is not said is any.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct AnswerFilter {
+    pub scene_id: Option<String>,
+    pub batch_id: Option<String>,
+    /// As the answer has it.
+    pub status: Option<String>,
+    /// Given then or later.
+    pub since: Option<Timestamp>,
+    /// Given before.
+    pub until: Option<Timestamp>,
 }
 
 /// An answer about to be kept.
@@ -110,6 +124,35 @@ impl Store {
             .bind(id)
             .fetch_optional(&self.reader)
             .await?)
+    }
+
+    /// Answers newest first, those before `cursor` (an id) only.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn answers(&self, filter: &AnswerFilter, limit: u32, cursor: Option<&str>) -> Result<Vec<AnswerRow>, StoreError> {
+        let AnswerFilter { scene_id, batch_id, status, since, until } = filter;
+        // Only what is asked for stands in the statement, so that the index of that is used.
+        let mut sql = QueryBuilder::<Sqlite>::new("SELECT id, parse_id, body FROM answers WHERE true");
+        let first = |time: &Timestamp| Self::first_id_at(*time);
+        for (condition, value) in [
+            (" AND id < ", cursor.map(str::to_owned)),
+            (" AND id >= ", since.as_ref().map(first)),
+            (" AND id < ", until.as_ref().map(first)),
+            (" AND scene_id = ", scene_id.clone()),
+            (" AND status = ", status.clone()),
+        ] {
+            if let Some(value) = value {
+                sql.push(condition).push_bind(value);
+            }
+        }
+        if let Some(batch_id) = batch_id {
+            sql.push(" AND id IN (SELECT answer_id FROM batch_items WHERE batch_id = ")
+                .push_bind(batch_id)
+                .push(")");
+        }
+        sql.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
+        Ok(sql.build_query_as().fetch_all(&self.reader).await?)
     }
 
     /// Removes some answers of a scene, few enough that nobody waits long for the database. Their ids; none when none are left.

@@ -17,6 +17,8 @@ pub struct BatchRow {
     pub max_cost_usd: Option<f64>,
     pub job_id: Option<String>,
     pub request: Option<String>,
+    /// Who submitted it.
+    pub key_id: Option<String>,
     pub created_at: String,
     pub finished_at: Option<String>,
 }
@@ -33,6 +35,7 @@ impl FromRow<'_, SqliteRow> for BatchRow {
             max_cost_usd: row.try_get("max_cost_usd")?,
             job_id: row.try_get("job_id")?,
             request: row.try_get("request")?,
+            key_id: row.try_get("key_id")?,
             created_at: row.try_get("created_at")?,
             finished_at: row.try_get("finished_at")?,
         })
@@ -44,6 +47,7 @@ pub struct NewBatch<'a> {
     pub label: Option<&'a str>,
     pub concurrency: Option<u32>,
     pub max_cost_usd: Option<f64>,
+    pub key_id: Option<&'a str>,
 }
 
 /// An item about to be recorded.
@@ -102,12 +106,14 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn insert_batch(&self, new: NewBatch<'_>) -> Result<String, StoreError> {
         let id = self.new_id();
-        let sql = "INSERT INTO batches (id, label, state, concurrency, max_cost_usd, created_at) VALUES (?, ?, 'receiving', ?, ?, ?)";
+        let sql =
+            "INSERT INTO batches (id, label, state, concurrency, max_cost_usd, key_id, created_at) VALUES (?, ?, 'receiving', ?, ?, ?, ?)";
         sqlx::query(sql)
             .bind(&id)
             .bind(new.label)
             .bind(new.concurrency)
             .bind(new.max_cost_usd)
+            .bind(new.key_id)
             .bind(now())
             .execute(self.writer.pool())
             .await?;

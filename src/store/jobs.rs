@@ -2,8 +2,8 @@
 
 use super::{Store, StoreError, now};
 use jiff::Timestamp;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row, SqliteConnection};
+use sqlx::sqlite::{Sqlite, SqliteRow};
+use sqlx::{FromRow, QueryBuilder, Row, SqliteConnection};
 use std::time::Duration;
 pub use uniground_types::job::JobState;
 
@@ -49,6 +49,15 @@ impl FromRow<'_, SqliteRow> for JobRow {
 
 fn state(word: String) -> sqlx::Result<JobState> {
     JobState::try_from(word).map_err(|error| sqlx::Error::Decode(error.into()))
+}
+
+/// Which jobs are wanted; what is not said is any.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct JobFilter {
+    pub kind: Option<String>,
+    pub state: Option<JobState>,
+    /// What it works on: a scene, or a batch.
+    pub subject: Option<String>,
 }
 
 /// A job about to be recorded.
@@ -114,6 +123,27 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn job(&self, id: &str) -> Result<Option<JobRow>, StoreError> {
         Ok(sqlx::query_as("SELECT * FROM jobs WHERE id = ?").bind(id).fetch_optional(&self.reader).await?)
+    }
+
+    /// Jobs newest first, those before `cursor` (an id) only.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn jobs(&self, filter: &JobFilter, limit: u32, cursor: Option<&str>) -> Result<Vec<JobRow>, StoreError> {
+        let JobFilter { kind, state, subject } = filter;
+        let mut sql = QueryBuilder::<Sqlite>::new("SELECT * FROM jobs WHERE true");
+        for (condition, value) in [
+            (" AND id < ", cursor),
+            (" AND kind = ", kind.as_deref()),
+            (" AND state = ", state.map(JobState::word)),
+            (" AND subject = ", subject.as_deref()),
+        ] {
+            if let Some(value) = value {
+                sql.push(condition).push_bind(value.to_owned());
+            }
+        }
+        sql.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
+        Ok(sql.build_query_as().fetch_all(&self.reader).await?)
     }
 
     /// # Errors

@@ -11,6 +11,7 @@ mod data_folder;
 mod health;
 mod ids;
 mod jobs;
+mod keys;
 mod parses;
 mod records;
 mod scenes;
@@ -18,11 +19,12 @@ mod sweep;
 mod vlm;
 mod writer;
 
-pub use answers::{AnswerRow, NewAnswer};
+pub use answers::{AnswerFilter, AnswerRow, NewAnswer};
 pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, Submitted};
 pub use blobs::{Blobs, Damage, Look, Scratch};
 pub use health::StoreHealth;
-pub use jobs::{JobRow, JobState, NewJob, Recovery};
+pub use jobs::{JobFilter, JobRow, JobState, NewJob, Recovery};
+pub use keys::KeyRow;
 pub use parses::{NewParse, ParseRow};
 pub use records::ParseRecord;
 pub use scenes::{Inserted, NewSceneRow, SceneRow};
@@ -156,7 +158,8 @@ impl Store {
         let reader = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
         let newest = "SELECT max(id) FROM (SELECT max(id) AS id FROM scenes UNION ALL SELECT max(id) FROM jobs
                       UNION ALL SELECT max(id) FROM answers UNION ALL SELECT max(id) FROM parses
-                      UNION ALL SELECT max(id) FROM batches)";
+                      UNION ALL SELECT max(id) FROM batches
+                      UNION ALL SELECT max(id) FROM keys UNION ALL SELECT max(id) FROM audit)";
         let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
         let answers = AnswerQueue::start(writer.clone());
         let store = Self { reader, writer, answers, ids: Ids::after(newest.as_deref()), blobs, folder };
@@ -186,6 +189,13 @@ impl Store {
         self.ids.at(Timestamp::now())
     }
 
+    /// The first id that could have been given at a time: ids before it are older.
+    #[must_use]
+    pub fn first_id_at(time: Timestamp) -> String {
+        let millis = u64::try_from(time.as_millisecond()).unwrap_or(0);
+        uuid::Builder::from_unix_timestamp_millis(millis, &[0; 10]).into_uuid().to_string()
+    }
+
     /// Closes the database; WAL is checkpointed.
     pub async fn close(&self) {
         self.reader.close().await;
@@ -205,12 +215,13 @@ impl Store {
 }
 
 /// What brings a database of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 5] = [
+const MIGRATIONS: [(i64, &str, &str); 6] = [
     (1, "scenes parses jobs answers", include_str!("../../migrations/0001_scenes_parses_jobs_answers.sql")),
     (2, "instance names spending", include_str!("../../migrations/0002_instance_names_spending.sql")),
     (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
     (4, "nothing lost", include_str!("../../migrations/0004_nothing_lost.sql")),
     (5, "batches", include_str!("../../migrations/0005_batches.sql")),
+    (6, "keys audit lists", include_str!("../../migrations/0006_keys_audit_lists.sql")),
 ];
 
 fn migrations() -> Migrator {

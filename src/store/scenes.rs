@@ -40,6 +40,8 @@ pub struct NewSceneRow<'a> {
     pub name: &'a str,
     pub content_hash: &'a str,
     pub content_bytes: u64,
+    /// Who uploads it.
+    pub key_id: Option<&'a str>,
     /// An idempotency key, and what identifies the request that came with it.
     pub key: Option<(&'a str, &'a str)>,
     /// Parses it, where that was asked for.
@@ -67,7 +69,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn insert_scene(&self, new: NewSceneRow<'_>) -> Result<Inserted, StoreError> {
-        let NewSceneRow { id, name, content_hash, content_bytes, key, job } = new;
+        let NewSceneRow { id, name, content_hash, content_bytes, key_id, key, job } = new;
         let time = now();
         let mut tx = self.writer.begin().await?;
         if let Some((key, request)) = key
@@ -84,8 +86,15 @@ impl Store {
             .bind(&time)
             .execute(&mut *tx)
             .await?;
-        let sql = "INSERT INTO scenes (id, name, content_hash, created_at, updated_at) VALUES (?, ?, ?, ?4, ?4)";
-        sqlx::query(sql).bind(id).bind(name).bind(content_hash).bind(&time).execute(&mut *tx).await?;
+        let sql = "INSERT INTO scenes (id, name, content_hash, created_at, updated_at, key_id) VALUES (?, ?, ?, ?4, ?4, ?5)";
+        sqlx::query(sql)
+            .bind(id)
+            .bind(name)
+            .bind(content_hash)
+            .bind(&time)
+            .bind(key_id)
+            .execute(&mut *tx)
+            .await?;
         if let Some((key, request)) = key {
             let sql = "INSERT INTO idempotency_keys (key, scene_id, created_at, request) VALUES (?, ?, ?, ?)";
             sqlx::query(sql).bind(key).bind(id).bind(&time).bind(request).execute(&mut *tx).await?;

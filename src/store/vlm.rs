@@ -54,14 +54,14 @@ impl Store {
         Ok(usd.unwrap_or(0.0))
     }
 
-    /// Puts money aside for a call that is about to be made; the reservation's id.
+    /// Puts money aside for a call that is about to be made, for whom; the reservation's id.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn reserve_spending(&self, day: &str, usd: f64) -> Result<String, StoreError> {
+    pub async fn reserve_spending(&self, day: &str, usd: f64, key_id: Option<&str>) -> Result<String, StoreError> {
         let id = self.new_id();
-        let sql = "INSERT INTO reservations (id, day, usd) VALUES (?, ?, ?)";
-        sqlx::query(sql).bind(&id).bind(day).bind(usd).execute(self.writer.pool()).await?;
+        let sql = "INSERT INTO reservations (id, day, usd, key_id) VALUES (?, ?, ?, ?)";
+        sqlx::query(sql).bind(&id).bind(day).bind(usd).bind(key_id).execute(self.writer.pool()).await?;
         Ok(id)
     }
 
@@ -71,13 +71,18 @@ impl Store {
     /// [`StoreError`].
     pub async fn settle_spending(&self, id: &str, usd: f64) -> Result<(), StoreError> {
         let mut tx = self.writer.begin().await?;
-        let day: Option<String> = sqlx::query_scalar("DELETE FROM reservations WHERE id = ? RETURNING day")
+        let reserved: Option<(String, Option<String>)> = sqlx::query_as("DELETE FROM reservations WHERE id = ? RETURNING day, key_id")
             .bind(id)
             .fetch_optional(&mut *tx)
             .await?;
-        if let Some(day) = day {
+        if let Some((day, key_id)) = reserved {
             let sql = "INSERT INTO spending (day, usd) VALUES (?1, ?2) ON CONFLICT (day) DO UPDATE SET usd = usd + ?2";
-            sqlx::query(sql).bind(day).bind(usd).execute(&mut *tx).await?;
+            sqlx::query(sql).bind(&day).bind(usd).execute(&mut *tx).await?;
+            if let Some(key_id) = key_id {
+                let sql = "INSERT INTO key_spending (key_id, day, usd) VALUES (?1, ?2, ?3)
+                           ON CONFLICT (key_id, day) DO UPDATE SET usd = usd + ?3";
+                sqlx::query(sql).bind(key_id).bind(day).bind(usd).execute(&mut *tx).await?;
+            }
         }
         tx.commit().await
     }
@@ -90,6 +95,10 @@ impl Store {
         let mut tx = self.writer.begin().await?;
         let sql = "INSERT INTO spending (day, usd) SELECT day, sum(usd) FROM reservations WHERE true GROUP BY day
                    ON CONFLICT (day) DO UPDATE SET usd = usd + excluded.usd";
+        sqlx::query(sql).execute(&mut *tx).await?;
+        let sql = "INSERT INTO key_spending (key_id, day, usd)
+                   SELECT key_id, day, sum(usd) FROM reservations WHERE key_id IS NOT NULL GROUP BY key_id, day
+                   ON CONFLICT (key_id, day) DO UPDATE SET usd = usd + excluded.usd";
         sqlx::query(sql).execute(&mut *tx).await?;
         sqlx::query("DELETE FROM reservations").execute(&mut *tx).await?;
         tx.commit().await

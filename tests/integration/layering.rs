@@ -38,7 +38,7 @@ const PACKAGES: [(&str, Floors); 3] = [
     (
         "crates/uniground-types/src",
         &[
-            &["scenes", "instances", "service", "transcript", "batch"],
+            &["scenes", "instances", "service", "transcript", "batch", "keys"],
             &["answer", "question", "settings", "job", "models"],
             &["scene", "problem"],
             &["geometry"],

@@ -13,6 +13,7 @@ mod chat_models;
 mod conventions;
 mod evaluation;
 mod keeping;
+mod keys;
 mod language;
 mod layering;
 mod litellm;

@@ -22,7 +22,7 @@ fn sample() -> Vec<u8> {
 }
 
 /// A model that is given up on quickly.
-fn config(url: &str) -> VlmConfig {
+pub fn config(url: &str) -> VlmConfig {
     VlmConfig {
         vlm_url: Some(url.to_owned()),
         vlm_model: Some("scripted".into()),
@@ -49,7 +49,7 @@ async fn builtin(server: &TestServer, scene: &str) -> Answer {
     server.client.ground(scene, &by(ReasonerChoice::Builtin)).await.unwrap()
 }
 
-fn six_lines(id: impl std::fmt::Display, names: &str, matches: bool, anchor: u32) -> Scripted {
+pub fn six_lines(id: impl std::fmt::Display, names: &str, matches: bool, anchor: u32) -> Scripted {
     says(&format!(
         "Predicted ID: {id}\nExplanation: it is red and on the table\nCandidate Names: {names}\nTarget name matches?: {matches}\n\
          Anchor ID: {anchor}\nRelation used: on the coffee table"

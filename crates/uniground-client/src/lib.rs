@@ -21,10 +21,11 @@ use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 pub use uniground_types as types;
-use uniground_types::answer::{Answer, Shortlisted};
+use uniground_types::answer::{Answer, AnswerList, Shortlisted};
 use uniground_types::batch::{Batch, BatchList, BatchRequest, BatchResult};
 use uniground_types::instances::{InstanceList, InstanceView, Levels};
-use uniground_types::job::Job;
+use uniground_types::job::{Job, JobList};
+use uniground_types::keys::{AuditList, CreatedKey, Key, KeyList, NewKey};
 use uniground_types::problem::{FieldError, Problem};
 use uniground_types::question::{GroundRequest, ShortlistRequest};
 use uniground_types::scenes::{Created, Scene, SceneList, SceneReport};
@@ -311,6 +312,52 @@ impl Client {
     /// [`ClientError`].
     pub async fn cancel_job(&self, id: &str) -> Result<Job, ClientError> {
         json(self.request(Method::DELETE, &format!("v1/jobs/{id}"))).await
+    }
+
+    /// A page of answers, newest first; `query` as the API describes it: `scene_id`, `batch_id`, `status`, `since`, `until`, `limit`, `cursor`.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn answers(&self, query: &[(&str, &str)]) -> Result<AnswerList, ClientError> {
+        json(self.request(Method::GET, "v1/answers").query(query)).await
+    }
+
+    /// A page of jobs, newest first; `query` as the API describes it: `kind`, `state`, `subject`, `limit`, `cursor`.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn jobs(&self, query: &[(&str, &str)]) -> Result<JobList, ClientError> {
+        json(self.request(Method::GET, "v1/jobs").query(query)).await
+    }
+
+    /// Makes a key; only this answer holds its secret.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn create_key(&self, new: &NewKey) -> Result<CreatedKey, ClientError> {
+        json(self.request(Method::POST, "v1/keys").json(new)).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn keys(&self, limit: u32, cursor: Option<&str>) -> Result<KeyList, ClientError> {
+        let query = [("limit", Some(limit.to_string())), ("cursor", cursor.map(str::to_owned))];
+        json(self.request(Method::GET, "v1/keys").query(&query)).await
+    }
+
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn revoke_key(&self, id: &str) -> Result<Key, ClientError> {
+        json(self.request(Method::DELETE, &format!("v1/keys/{id}"))).await
+    }
+
+    /// What was done, newest first.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<AuditList, ClientError> {
+        let query = [("limit", Some(limit.to_string())), ("cursor", cursor.map(str::to_owned))];
+        json(self.request(Method::GET, "v1/audit").query(&query)).await
     }
 
     /// Follows a job's events to its end; `on_event` sees every state on the way.

@@ -209,6 +209,16 @@ fn kept() -> bool {
     true
 }
 
+/// A page of answers, newest first.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct AnswerList {
+    /// Newest first, each as it was given.
+    pub answers: Vec<Answer>,
+    /// `cursor` of the next page; `null` on the last.
+    pub next_cursor: Option<String>,
+}
+
 /// The answer to a question. `box` is set when the status is `grounded`, or `uncertain`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

@@ -62,6 +62,9 @@ pub struct Job {
     pub id: String,
     /// What it does: `parse`, `naming`, `batch`.
     pub kind: String,
+    /// What it works on: the id of a scene, or of a batch.
+    #[serde(default)]
+    pub subject: String,
     /// Where it stands.
     pub state: JobState,
     /// Step it is in.
@@ -82,6 +85,16 @@ pub struct Job {
     pub started_at: Option<String>,
     /// When it ended, however it did, RFC 3339 UTC; `null` until then.
     pub finished_at: Option<String>,
+}
+
+/// A page of jobs, newest first.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct JobList {
+    /// Newest first.
+    pub jobs: Vec<Job>,
+    /// `cursor` of the next page; `null` on the last.
+    pub next_cursor: Option<String>,
 }
 
 /// Why a job, or an item of a batch, failed; `code` is stable.

@@ -11,6 +11,7 @@ pub mod batch;
 pub mod geometry;
 pub mod instances;
 pub mod job;
+pub mod keys;
 pub mod models;
 pub mod problem;
 pub mod question;

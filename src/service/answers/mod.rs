@@ -1,12 +1,15 @@
 //! Questions to answers, kept.
 
+mod lists;
 mod pictures;
 mod stored_scene;
+pub(super) mod table;
 mod transcripts;
 
+pub use lists::LineFormat;
 pub(super) use stored_scene::StoredScene;
 
-use super::{Service, Vlm};
+use super::{Caller, Service, Vlm};
 use crate::error::Error;
 use crate::store::NewAnswer;
 use std::sync::Arc;
@@ -20,8 +23,9 @@ use uniground_core::models::chat::{Budget, CallRecord, OverBudget};
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
 use uniground_types::question::{DEFAULT_MIN_CONFIDENCE, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
 
-/// Who asks, where it is not somebody who waits for the answer.
+/// Who asks, and what goes with that where it is not somebody who waits for the answer.
 pub(super) struct Asker {
+    pub caller: Caller,
     /// Of the answer.
     pub answer_id: String,
     /// Pays beside the question's own budget and the day's.
@@ -33,8 +37,8 @@ impl Service {
     ///
     /// # Errors
     /// [`Error`]: unknown or unparsed scene, a question that is none, no model or no money where a model was demanded, overload, time-out.
-    pub async fn ground(&self, scene_id: &str, request: GroundRequest) -> Result<Answer, Error> {
-        let asker = Asker { answer_id: self.store.new_id(), pays: None };
+    pub async fn ground(&self, scene_id: &str, request: GroundRequest, caller: Caller) -> Result<Answer, Error> {
+        let asker = Asker { caller, answer_id: self.store.new_id(), pays: None };
         self.ground_for(scene_id, request, asker).await
     }
 
@@ -42,16 +46,16 @@ impl Service {
     pub(super) async fn ground_for(&self, scene_id: &str, request: GroundRequest, asker: Asker) -> Result<Answer, Error> {
         request.check()?;
         let (scene, parse_id) = self.ready_scene(scene_id).await?;
-        let reviewer = self.reviewer(&request)?;
+        let reviewer = self.reviewer(&request, &asker.caller)?;
         let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         // A place among those who wait for the model, for as long as the question takes.
         let _place = reviewer.as_ref().map(|vlm| vlm.place()).transpose()?;
         let mut budgets = match &self.vlm {
-            Some(vlm) => vlm.budgets(&self.store, request.max_cost_usd).await?,
+            Some(vlm) => vlm.budgets(&asker.caller, request.max_cost_usd).await?,
             None => Vec::new(),
         };
         budgets.extend(asker.pays);
-        let ask = self.ask(&request, reviewer, &budgets)?;
+        let ask = self.ask(&request, &asker.caller, reviewer, &budgets)?;
         let answered = pipeline::answer(&source, ask);
         let answered = match request.timeout_s {
             Some(seconds) => timeout(Duration::from_secs_f32(seconds), answered)
@@ -120,11 +124,11 @@ impl Service {
     }
 
     /// The model that reviews a question; `None` where the built-in reasoner decides, by choice or because nothing may be spent.
-    fn reviewer(&self, request: &GroundRequest) -> Result<Option<Arc<Vlm>>, Error> {
-        let unpaid = request.max_cost_usd == Some(0.0);
+    fn reviewer(&self, request: &GroundRequest, caller: &Caller) -> Result<Option<Arc<Vlm>>, Error> {
+        let unpaid = self.is_unpaid(request, caller);
         let asks = request.reasoner != ReasonerChoice::Builtin || request.parser == ParserChoice::Vlm;
         if let Some(vlm) = self.vlm.as_ref().filter(|_| asks && !unpaid && request.max_cost_usd.is_some())
-            && !vlm.model.prices().are_known()
+            && !vlm.prices().are_known()
         {
             return Err(Error::invalid("/max_cost_usd", "this server knows no prices of its model: only 0 can be held to"));
         }
@@ -139,19 +143,25 @@ impl Service {
         }
     }
 
+    /// Whether nothing may be spent on a question: it says so, or its key has a budget that nothing can be held against.
+    fn is_unpaid(&self, request: &GroundRequest, caller: &Caller) -> bool {
+        let has_budget = caller.key.as_ref().is_some_and(|key| key.row.daily_usd.is_some());
+        request.max_cost_usd == Some(0.0) || (has_budget && self.vlm.as_ref().is_some_and(|vlm| !vlm.prices().are_known()))
+    }
+
     /// A request as the pipeline takes it.
-    fn ask(&self, request: &GroundRequest, reviewer: Option<Arc<Vlm>>, budgets: &[Budget]) -> Result<Ask, Error> {
+    fn ask(&self, request: &GroundRequest, caller: &Caller, reviewer: Option<Arc<Vlm>>, budgets: &[Budget]) -> Result<Ask, Error> {
         // The grammar reads where nothing may be spent.
         let parser: Arc<dyn QueryParser> = match (request.parser, &self.vlm) {
             (ParserChoice::Vlm, None) => return Err(Error::VlmNotConfigured),
-            (ParserChoice::Vlm, Some(vlm)) if request.max_cost_usd != Some(0.0) => {
-                Arc::new(VlmParser { model: vlm.model.clone(), budgets: budgets.to_vec() })
+            (ParserChoice::Vlm, Some(vlm)) if !self.is_unpaid(request, caller) => {
+                Arc::new(VlmParser { model: vlm.model_for(caller), budgets: budgets.to_vec() })
             }
             _ => Arc::new(BuiltinParser),
         };
         let without_model = if request.reasoner == ReasonerChoice::Vlm { WithoutModel::Fail } else { WithoutModel::BuiltIn };
         let review = reviewer.map(|vlm| Review {
-            model: vlm.model.clone(),
+            model: vlm.model_for(caller),
             budgets: budgets.to_vec(),
             options: Options { ablation: request.ablation, evidence: request.evidence, json: vlm.json() },
             without_model,

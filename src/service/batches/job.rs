@@ -4,7 +4,7 @@ use super::reason;
 use crate::error::Error;
 use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
 use crate::service::answers::Asker;
-use crate::service::{Service, job_failure, until_cancelled};
+use crate::service::{Caller, Service, job_failure, until_cancelled};
 use crate::store::{BatchRow, ClosedItem, OpenItem};
 use futures::future::ready;
 use futures::{StreamExt, stream};
@@ -75,6 +75,10 @@ impl Service {
             if self.store.batch(&batch.id).await?.is_none_or(|batch| batch.state != "running") {
                 return Ok(told(before + done, &batch, "stopped"));
             }
+            let Ok(caller) = self.keys.caller_of(batch.key_id.as_deref()) else {
+                self.store.move_batch(&batch.id, &["running"], "paused", Some(reason::KEY_REFUSED)).await?;
+                return Ok(told(before + done, &batch, "its key is refused"));
+            };
             let items = self.store.open_batch_items(&batch.id, WINDOW).await?;
             if items.is_empty() {
                 self.store.move_batch(&batch.id, &["running"], "succeeded", None).await?;
@@ -82,7 +86,7 @@ impl Service {
             }
             let asking = AtomicBool::new(true);
             let wanted = stream::iter(items).take_while(|_| ready(asking.load(Relaxed)));
-            let mut ends = pin!(wanted.map(|item| self.ask_item(item, budget.as_ref())).buffer_unordered(width));
+            let mut ends = pin!(wanted.map(|item| self.ask_item(item, &caller, budget.as_ref())).buffer_unordered(width));
             let (mut closed, mut written, mut over_budget) = (Vec::new(), Instant::now(), false);
             let (mut stop, mut last_call): (Option<Error>, _) = (None, None);
             loop {
@@ -133,7 +137,8 @@ impl Service {
     }
 
     /// Asks one question, or finds the answer it got before a server was killed. Only what is wrong with the store itself is an error.
-    async fn ask_item(&self, OpenItem { item, scene_id, request, answer_id }: OpenItem, budget: Option<&Budget>) -> Result<End, Error> {
+    async fn ask_item(&self, open: OpenItem, caller: &Caller, budget: Option<&Budget>) -> Result<End, Error> {
+        let OpenItem { item, scene_id, request, answer_id } = open;
         if let Some(kept) = self.store.answer(&answer_id).await? {
             let Kept { status, usage } = serde_json::from_str(&kept.body)?;
             return Ok(End::Closed(ClosedItem { item, status, cost_usd: usage.cost_usd, error: None }));
@@ -152,7 +157,7 @@ impl Service {
         };
         let (mut tries, mut wait) = (0, FIRST_WAIT);
         loop {
-            let asker = Asker { answer_id: answer_id.clone(), pays: budget.cloned() };
+            let asker = Asker { caller: caller.clone(), answer_id: answer_id.clone(), pays: budget.cloned() };
             match self.ground_for(&scene_id, request.clone(), asker).await {
                 Ok(Answer { stored: false, .. }) => return Err(Error::AnswerNotKept),
                 Ok(answer) => {

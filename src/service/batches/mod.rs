@@ -5,7 +5,7 @@ mod results;
 mod submission;
 
 pub use job::BatchJob;
-pub use results::{ResultFormat, Results};
+pub use results::Results;
 pub use submission::{Body, Submission};
 
 use super::Service;
@@ -31,6 +31,8 @@ const MIN_DONE_FOR_ETA: f32 = 0.01;
 mod reason {
     /// What it may cost is spent.
     pub const BUDGET_SPENT: &str = "budget_spent";
+    /// The key it was submitted with is refused by now.
+    pub const KEY_REFUSED: &str = "key_refused";
     /// Its job was cancelled, failed, or ended just before it was resumed.
     pub const JOB_ENDED: &str = "job_ended";
 }

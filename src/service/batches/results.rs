@@ -1,7 +1,8 @@
 //! Results of a batch, in the order of its items, while they are made or afterwards.
 
 use crate::error::Error;
-use crate::service::Service;
+use crate::service::answers::table;
+use crate::service::{LineFormat, Service};
 use crate::store::ItemRow;
 use bytes::Bytes;
 use futures::{Stream, stream};
@@ -13,24 +14,13 @@ use uniground_types::answer::Answer;
 use uniground_types::batch::BatchState;
 use uniground_types::job::JobError;
 
-/// How results are written.
-#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Deserialize, utoipa::ToSchema)]
-#[serde(rename_all = "snake_case")]
-pub enum ResultFormat {
-    /// A `BatchResult` a line.
-    #[default]
-    Jsonl,
-    /// A row an item: the figures of the answer.
-    Csv,
-}
-
 /// What results are wanted, and how.
 #[derive(Debug, Clone)]
 pub struct Results {
     pub batch_id: String,
     /// The first item.
     pub from: u32,
-    pub format: ResultFormat,
+    pub format: LineFormat,
     /// Wait for items that are still asked, while the batch runs; else end at the first that is.
     pub follow: bool,
 }
@@ -68,7 +58,7 @@ impl Service {
     pub async fn batch_results(&self, results: Results) -> Result<impl Stream<Item = Result<Bytes, Error>> + use<>, Error> {
         self.batch_row(&results.batch_id).await?;
         let service = self.clone();
-        let begin = (results.format == ResultFormat::Csv).then(|| Bytes::from(format!("{}\n", COLUMNS.join(","))));
+        let begin = (results.format == LineFormat::Csv).then(|| Bytes::from(format!("{}\n", columns().join(","))));
         let pages = stream::try_unfold(results, move |wanted| {
             let service = service.clone();
             async move { service.next_page(wanted).await }
@@ -85,8 +75,8 @@ impl Service {
             if let Some(last) = done.last() {
                 wanted.from = last.item + 1;
                 let page = match wanted.format {
-                    ResultFormat::Jsonl => lines(&done)?,
-                    ResultFormat::Csv => table(&done)?,
+                    LineFormat::Jsonl => lines(&done)?,
+                    LineFormat::Csv => rows_of(&done)?,
                 };
                 return Ok(Some((page.into(), wanted)));
             }
@@ -117,57 +107,17 @@ fn lines(rows: &[ItemRow]) -> Result<Vec<u8>, Error> {
     Ok(page)
 }
 
-const COLUMNS: [&str; 17] = [
-    "item",
-    "scene_id",
-    "query",
-    "status",
-    "answer_id",
-    "predicted_id",
-    "confidence",
-    "count",
-    "center_x",
-    "center_y",
-    "center_z",
-    "size_x",
-    "size_y",
-    "size_z",
-    "cost_usd",
-    "error_code",
-    "error",
-];
+fn columns() -> Vec<&'static str> {
+    let before = ["item", "scene_id", "query", "status", "answer_id"];
+    before.into_iter().chain(table::COLUMNS).chain(["error_code", "error"]).collect()
+}
 
-fn table(rows: &[ItemRow]) -> Result<Vec<u8>, Error> {
-    let mut writer = csv::Writer::from_writer(Vec::new());
-    let broken = |error: csv::Error| Error::Io(std::io::Error::other(error));
-    for row in rows {
+fn rows_of(rows: &[ItemRow]) -> Result<Vec<u8>, Error> {
+    table::written(rows.iter().map(|row| {
         let Asked { query } = serde_json::from_str(&row.request).unwrap_or(Asked { query: String::new() });
         let answer: Option<Answer> = row.answer.as_deref().map(serde_json::from_str).transpose()?;
-        let of = |value: &dyn Fn(&Answer) -> Option<String>| answer.as_ref().and_then(value).unwrap_or_default();
-        let side = |axis: usize, size: bool| {
-            of(&|answer| answer.aabb.map(|b| if size { b.size[axis].to_string() } else { b.center[axis].to_string() }))
-        };
         let (code, detail) = row.error.clone().unwrap_or_default();
-        let cells: [String; COLUMNS.len()] = [
-            row.item.to_string(),
-            row.scene_id.clone(),
-            query,
-            row.status.clone().unwrap_or_default(),
-            row.answer_id.clone(),
-            of(&|answer| answer.answer.predicted_id.map(|id| id.to_string())),
-            of(&|answer| Some(answer.confidence.to_string())),
-            of(&|answer| answer.count.map(|count| count.to_string())),
-            side(0, false),
-            side(1, false),
-            side(2, false),
-            side(0, true),
-            side(1, true),
-            side(2, true),
-            of(&|answer| Some(answer.usage.cost_usd.to_string())),
-            code,
-            detail,
-        ];
-        writer.write_record(&cells).map_err(broken)?;
-    }
-    writer.into_inner().map_err(|error| Error::Io(std::io::Error::other(error.to_string())))
+        let item = [row.item.to_string(), row.scene_id.clone(), query, row.status.clone().unwrap_or_default(), row.answer_id.clone()];
+        Ok(item.into_iter().chain(table::cells(answer.as_ref())).chain([code, detail]).collect())
+    }))
 }

@@ -4,7 +4,7 @@ use super::job::Payload;
 use super::{BatchJob, MAX_CONCURRENCY, MAX_ITEMS, MAX_LABEL_CHARS};
 use crate::error::Error;
 use crate::jobs::JobKind;
-use crate::service::Service;
+use crate::service::{Caller, Service};
 use crate::store::{NewBatch, NewItem, Store, Submitted};
 use bytes::Bytes;
 use futures::{Stream, StreamExt};
@@ -190,9 +190,10 @@ impl Service {
         &self,
         submission: Submission,
         body: Body<S>,
+        caller: &Caller,
     ) -> Result<Batch, Error> {
         submission.check()?;
-        let key = submission.idempotency_key.clone();
+        let key = submission.idempotency_key.clone().map(|key| caller.own(key));
         let before = match &key {
             Some(key) => self.store.batch_of_idempotency_key(key).await?,
             None => None,
@@ -202,7 +203,7 @@ impl Service {
         } else {
             self.jobs.check_room::<BatchJob>().await?;
             let Submission { label, concurrency, max_cost_usd, .. } = &submission;
-            let new = NewBatch { label: label.as_deref(), concurrency: *concurrency, max_cost_usd: *max_cost_usd };
+            let new = NewBatch { label: label.as_deref(), concurrency: *concurrency, max_cost_usd: *max_cost_usd, key_id: caller.key_id() };
             Some(self.store.insert_batch(new).await?)
         };
         let mut unfinished = Unfinished { store: self.store.clone(), id: batch_id.clone() };

@@ -1,7 +1,7 @@
 //! Naming all instances of a parse up front, as a job: questions with cached names then never wait for it.
 
 use super::answers::StoredScene;
-use super::{Service, Vlm, job_failure, until_cancelled};
+use super::{Caller, Service, Vlm, job_failure, until_cancelled};
 use crate::error::Error;
 use crate::jobs::{Job, JobContext, JobFailure, JobKind, Retry};
 use serde::{Deserialize, Serialize};
@@ -20,6 +20,9 @@ pub struct NamingJob(pub Service);
 #[derive(Serialize, Deserialize)]
 pub struct Payload {
     scene_id: String,
+    /// Who pays, beside the day's budget.
+    #[serde(default)]
+    key_id: Option<String>,
 }
 
 impl JobKind for NamingJob {
@@ -39,12 +42,13 @@ impl Service {
     ///
     /// # Errors
     /// [`Error`]: no model, an unknown or unparsed scene, a full queue.
-    pub async fn start_naming(&self, scene_id: &str) -> Result<Job, Error> {
+    pub async fn start_naming(&self, scene_id: &str, caller: &Caller) -> Result<Job, Error> {
         if self.vlm.is_none() {
             return Err(Error::VlmNotConfigured);
         }
         let (scene, _) = self.ready_scene(scene_id).await?;
-        Ok(self.jobs.submit::<NamingJob>(&scene.id, &Payload { scene_id: scene.id.clone() }).await?)
+        let payload = Payload { scene_id: scene.id.clone(), key_id: caller.key_id().map(str::to_owned) };
+        Ok(self.jobs.submit::<NamingJob>(&scene.id, &payload).await?)
     }
 
     /// Names the configured model gave to the instances of a parse.
@@ -65,6 +69,7 @@ impl Service {
 
     async fn run_naming(&self, JobContext { payload, progress, .. }: JobContext<Payload>) -> Result<String, Error> {
         let vlm = self.vlm.clone().ok_or(Error::VlmNotConfigured)?;
+        let caller = self.keys.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
         let (_, parse_id) = self.ready_scene(&payload.scene_id).await?;
         let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         let known = self.names_of(&parse_id).await?;
@@ -79,7 +84,7 @@ impl Service {
         for (number, ids) in sheets.iter().enumerate() {
             progress.report("naming", number as f32 / sheets.len() as f32).map_err(ParseError::from)?;
             let names = tokio::select! {
-                names = self.name_sheet(&vlm, &source, number + 1, ids) => names?,
+                names = self.name_sheet(&vlm, &caller, &source, number + 1, ids) => names?,
                 cancelled = until_cancelled(&progress) => return Err(ParseError::from(cancelled).into()),
             };
             named += names.values().filter(|name| !name.is_empty()).count();
@@ -91,6 +96,7 @@ impl Service {
     async fn name_sheet(
         &self,
         vlm: &Vlm,
+        caller: &Caller,
         source: &Arc<StoredScene>,
         number: usize,
         ids: &[InstanceId],
@@ -98,7 +104,8 @@ impl Service {
         let wanted = ids.to_vec();
         let sheet = source.compute(move |source| naming::sheet_of(source, number, &wanted)).await?;
         let Some((sheet, ids)) = sheet else { return Ok(BTreeMap::new()) };
-        let mut session = Session::new(vlm.model.as_ref(), vlm.budgets(&self.store, None).await?, 1);
+        let model = vlm.model_for(caller);
+        let mut session = Session::new(model.as_ref(), vlm.budgets(caller, None).await?, 1);
         let asked = session.ask("naming", naming::request(sheet, &ids)).await;
         let names = naming::read(&asked?, &ids);
         self.keep_names(&source.parse.id, &names).await?;

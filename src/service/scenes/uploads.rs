@@ -3,7 +3,7 @@
 use crate::error::Error;
 use crate::jobs::Job;
 use crate::service::parses::WantedParse;
-use crate::service::{MAX_UPLOADS, ParseJob, Service};
+use crate::service::{Caller, MAX_UPLOADS, ParseJob, Service};
 use crate::store::{Inserted, Look, NewSceneRow, SceneRow, Scratch};
 use bytes::Bytes;
 use camino::Utf8Path;
@@ -88,8 +88,10 @@ impl Service {
         &self,
         new: NewScene,
         body: impl Stream<Item = Result<Bytes, E>> + Unpin,
+        caller: &Caller,
     ) -> Result<(Scene, Option<Job>), Error> {
         let NewScene { name, kind, parse, idempotency_key } = new;
+        let idempotency_key = idempotency_key.map(|key| caller.own(key));
         if let Some(name) = &name {
             check_name("/name", name)?;
         }
@@ -97,8 +99,11 @@ impl Service {
             Some(key) => self.store.scene_of_idempotency_key(key).await?,
             None => None,
         };
-        if parse.is_some() && made_before.is_none() {
-            self.jobs.check_room::<ParseJob>().await?;
+        if made_before.is_none() {
+            self.check_quota(caller).await?;
+            if parse.is_some() {
+                self.jobs.check_room::<ParseJob>().await?;
+            }
         }
         let received = {
             let _place = self
@@ -133,6 +138,8 @@ impl Service {
             unpacked = Some(self.unpack(received.clone(), kind).await?);
             references = self.content_references.lock().await;
         }
+        // Again, with nobody beside: several uploads at once must not come to more.
+        self.check_quota(caller).await?;
         if let Some(Unpacked { folder, .. }) = unpacked {
             let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(&received.hash));
             spawn_blocking(move || blobs.publish(folder, &content)).await??;
@@ -150,6 +157,7 @@ impl Service {
             name: &name,
             content_hash: &received.hash,
             content_bytes: received.bytes,
+            key_id: caller.key_id(),
             key: idempotency_key.as_deref().map(|key| (key, request.as_str())),
             job: wanted.as_ref().map(WantedParse::job),
         });
@@ -160,6 +168,12 @@ impl Service {
             Inserted::MadeBefore(row) => self.made_before(row, parse).await,
             Inserted::KeyReused => Err(Error::IdempotencyKeyReused),
         }
+    }
+
+    async fn check_quota(&self, caller: &Caller) -> Result<(), Error> {
+        let Some(key) = &caller.key else { return Ok(()) };
+        let Some(most) = key.row.max_scenes else { return Ok(()) };
+        if self.store.scenes_of_key(&key.row.id).await? >= most { Err(Error::TooManyScenes { most }) } else { Ok(()) }
     }
 
     /// The scene an idempotency key made. A server that was killed in the middle may have left it without its job.

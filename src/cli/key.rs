@@ -1,0 +1,200 @@
+//! `uniground key`: who may ask a server.
+
+use super::table;
+use crate::service::Keyring;
+use crate::store::Store;
+use crate::{telemetry, words};
+use anyhow::{Context, ensure};
+use camino::{Utf8Path, Utf8PathBuf};
+use jiff::{Timestamp, ToSpan};
+use std::io::{self, Write};
+use uniground_client::Client;
+use uniground_types::keys::{CreatedKey, Key, NewKey, Scope};
+
+#[derive(Debug, clap::Args)]
+pub struct KeyArgs {
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, clap::Subcommand)]
+enum Command {
+    /// Make a key and print its secret, which is kept nowhere else
+    Create(CreateArgs),
+    /// List keys, newest first
+    List(ListArgs),
+    /// Have a key refused from now on
+    Revoke(RevokeArgs),
+}
+
+#[derive(Debug, clap::Args)]
+struct CreateArgs {
+    /// Who will hold it, for people
+    name: String,
+    /// What it allows: read (look and ask), write (upload and change), admin (keys)
+    #[arg(long, default_value = "read", value_parser = words::scope())]
+    scope: Scope,
+    /// Days after which it is refused
+    #[arg(long, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(1..=36_500))]
+    expires_in_days: Option<u32>,
+    /// Requests a minute
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    requests_per_minute: Option<u32>,
+    /// Scenes it may have uploaded and not deleted
+    #[arg(long, value_name = "N")]
+    max_scenes: Option<u32>,
+    /// Most that its questions may cost in a day (UTC), US dollars
+    #[arg(long, value_name = "USD")]
+    daily_usd: Option<f64>,
+    #[command(flatten)]
+    place: Place,
+}
+
+#[derive(Debug, clap::Args)]
+struct ListArgs {
+    #[command(flatten)]
+    place: Place,
+}
+
+#[derive(Debug, clap::Args)]
+struct RevokeArgs {
+    /// Its id, or how its secret begins (ug_ and eight more)
+    key: String,
+    #[command(flatten)]
+    place: Place,
+}
+
+/// Whose keys: a running server's, or those of a data folder whose server is stopped.
+#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[derive(Debug, clap::Args)]
+struct Place {
+    /// Address of the server; an admin's key in UNIGROUND_API_KEY
+    #[arg(long, env = "UNIGROUND_SERVER", default_value = "http://127.0.0.1:8080")]
+    server: String,
+    /// Folder of a server that does not run, instead: for the first key of all
+    #[arg(long)]
+    data_dir: Option<Utf8PathBuf>,
+    /// Print JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// As many as a page holds.
+const PAGE: u32 = 100;
+
+/// Where keys are made, listed and revoked.
+enum Keys {
+    Server(Client),
+    Folder(Keyring, Store),
+}
+
+impl Keys {
+    async fn of(Place { server, data_dir, json: _ }: &Place) -> anyhow::Result<Self> {
+        match data_dir {
+            Some(folder) => Self::of_folder(folder).await,
+            None => Ok(Self::Server(Client::new(server, std::env::var("UNIGROUND_API_KEY").ok())?)),
+        }
+    }
+
+    async fn of_folder(folder: &Utf8Path) -> anyhow::Result<Self> {
+        let store = Store::open_as_it_is(folder)
+            .await
+            .with_context(|| format!("the data folder {folder} (while its server runs, leave --data-dir out and ask the server)"))?;
+        Ok(Self::Folder(Keyring::open(store.clone(), None).await?, store))
+    }
+
+    async fn create(&self, new: NewKey) -> anyhow::Result<CreatedKey> {
+        Ok(match self {
+            Self::Server(client) => client.create_key(&new).await?,
+            Self::Folder(keys, _) => keys.create(new).await?,
+        })
+    }
+
+    async fn all(&self) -> anyhow::Result<Vec<Key>> {
+        let (mut keys, mut cursor) = (Vec::new(), None);
+        loop {
+            let page = match self {
+                Self::Server(client) => client.keys(PAGE, cursor.as_deref()).await?,
+                Self::Folder(keys, _) => keys.list(PAGE, cursor.as_deref()).await?,
+            };
+            keys.extend(page.keys);
+            cursor = page.next_cursor;
+            if cursor.is_none() {
+                return Ok(keys);
+            }
+        }
+    }
+
+    async fn revoke(&self, id: &str) -> anyhow::Result<Key> {
+        Ok(match self {
+            Self::Server(client) => client.revoke_key(id).await?,
+            Self::Folder(keys, _) => keys.revoke(id).await?,
+        })
+    }
+
+    async fn close(self) {
+        if let Self::Folder(_, store) = self {
+            store.close().await;
+        }
+    }
+}
+
+pub async fn run(args: &KeyArgs) -> anyhow::Result<()> {
+    telemetry::start_quiet();
+    match &args.command {
+        Command::Create(args) => create(args).await,
+        Command::List(ListArgs { place }) => {
+            let keys = Keys::of(place).await?;
+            let all = keys.all().await;
+            keys.close().await;
+            match place.json {
+                true => print_json(&all?),
+                false => Ok(writeln!(io::stdout(), "{}", table::of_keys(&all?))?),
+            }
+        }
+        Command::Revoke(RevokeArgs { key, place }) => {
+            let keys = Keys::of(place).await?;
+            let revoked = revoke(&keys, key).await;
+            keys.close().await;
+            let revoked = revoked?;
+            match place.json {
+                true => print_json(&revoked),
+                false => Ok(writeln!(io::stdout(), "{} ({}) is refused from now on", revoked.prefix, revoked.name)?),
+            }
+        }
+    }
+}
+
+async fn create(args: &CreateArgs) -> anyhow::Result<()> {
+    let CreateArgs { name, scope, expires_in_days, requests_per_minute, max_scenes, daily_usd, place } = args;
+    let ahead = expires_in_days.map(|days| Timestamp::now().checked_add((i64::from(days) * 24).hours()));
+    let new = NewKey {
+        name: name.clone(),
+        scope: *scope,
+        expires_at: ahead.transpose()?.map(|at| at.to_string()),
+        requests_per_minute: *requests_per_minute,
+        max_scenes: *max_scenes,
+        daily_usd: *daily_usd,
+    };
+    let keys = Keys::of(place).await?;
+    let created = keys.create(new).await;
+    keys.close().await;
+    let created = created?;
+    if place.json {
+        return print_json(&created);
+    }
+    writeln!(io::stdout(), "{}", created.secret)?;
+    eprintln!("a key that may {}, shown this once: Authorization: Bearer {}_…", created.key.scope.word(), created.key.prefix);
+    Ok(())
+}
+
+/// By id or by how the secret begins.
+async fn revoke(keys: &Keys, key: &str) -> anyhow::Result<Key> {
+    let found: Vec<Key> = keys.all().await?.into_iter().filter(|known| known.id == key || known.prefix == key).collect();
+    ensure!(!found.is_empty(), "there is no key {key}");
+    keys.revoke(&found[0].id).await
+}
+
+fn print_json(value: &impl serde::Serialize) -> anyhow::Result<()> {
+    Ok(writeln!(io::stdout(), "{}", serde_json::to_string_pretty(value)?)?)
+}

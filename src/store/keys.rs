@@ -1,0 +1,181 @@
+//! Keys of callers, what they may spend, and what was done with them.
+
+use super::{Store, StoreError, now};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{FromRow, Row};
+use uniground_types::keys::{AuditEntry, Scope};
+
+/// A key as stored.
+#[derive(Debug, Clone, PartialEq)]
+pub struct KeyRow {
+    pub id: String,
+    pub name: String,
+    /// The first characters of the secret.
+    pub prefix: String,
+    /// SHA-256 of the secret, hex.
+    pub hash: String,
+    pub scope: Scope,
+    pub expires_at: Option<String>,
+    pub requests_per_minute: Option<u32>,
+    pub max_scenes: Option<u32>,
+    pub daily_usd: Option<f64>,
+    pub created_at: String,
+    pub last_used_at: Option<String>,
+    pub revoked_at: Option<String>,
+}
+
+impl FromRow<'_, SqliteRow> for KeyRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        let scope: String = row.try_get("scope")?;
+        Ok(Self {
+            id: row.try_get("id")?,
+            name: row.try_get("name")?,
+            prefix: row.try_get("prefix")?,
+            hash: row.try_get("hash")?,
+            scope: Scope::try_from(scope).map_err(|error| sqlx::Error::Decode(error.into()))?,
+            expires_at: row.try_get("expires_at")?,
+            requests_per_minute: row.try_get("requests_per_minute")?,
+            max_scenes: row.try_get("max_scenes")?,
+            daily_usd: row.try_get("daily_usd")?,
+            created_at: row.try_get("created_at")?,
+            last_used_at: row.try_get("last_used_at")?,
+            revoked_at: row.try_get("revoked_at")?,
+        })
+    }
+}
+
+impl Store {
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn insert_key(&self, key: &KeyRow) -> Result<(), StoreError> {
+        let sql = "INSERT INTO keys (id, name, prefix, hash, scope, expires_at, requests_per_minute, max_scenes, daily_usd, created_at)
+                   VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
+        sqlx::query(sql)
+            .bind(&key.id)
+            .bind(&key.name)
+            .bind(&key.prefix)
+            .bind(&key.hash)
+            .bind(key.scope.word())
+            .bind(&key.expires_at)
+            .bind(key.requests_per_minute)
+            .bind(key.max_scenes)
+            .bind(key.daily_usd)
+            .bind(&key.created_at)
+            .execute(self.writer.pool())
+            .await?;
+        Ok(())
+    }
+
+    /// Every key there ever was, oldest first.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn all_keys(&self) -> Result<Vec<KeyRow>, StoreError> {
+        Ok(sqlx::query_as("SELECT * FROM keys ORDER BY id").fetch_all(&self.reader).await?)
+    }
+
+    /// Keys newest first, those before `cursor` (an id) only.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn keys(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<KeyRow>, StoreError> {
+        let sql = "SELECT * FROM keys WHERE ?1 IS NULL OR id < ?1 ORDER BY id DESC LIMIT ?2";
+        Ok(sqlx::query_as(sql).bind(cursor).bind(limit).fetch_all(&self.reader).await?)
+    }
+
+    /// Has a key refused from now on; as it is then, or `None` where there is none. Who was first stays.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn revoke_key(&self, id: &str) -> Result<Option<KeyRow>, StoreError> {
+        let sql = "UPDATE keys SET revoked_at = coalesce(revoked_at, ?) WHERE id = ? RETURNING *";
+        Ok(sqlx::query_as(sql).bind(now()).bind(id).fetch_optional(self.writer.pool()).await?)
+    }
+
+    /// Notes when keys were last shown.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn note_key_use(&self, id: &str, at: &str) -> Result<(), StoreError> {
+        sqlx::query("UPDATE keys SET last_used_at = ? WHERE id = ?")
+            .bind(at)
+            .bind(id)
+            .execute(self.writer.pool())
+            .await?;
+        Ok(())
+    }
+
+    /// What questions of a key cost on a day, US dollars.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn spent_by_key(&self, key_id: &str, day: &str) -> Result<f64, StoreError> {
+        let usd: Option<f64> = sqlx::query_scalar("SELECT usd FROM key_spending WHERE key_id = ? AND day = ?")
+            .bind(key_id)
+            .bind(day)
+            .fetch_optional(&self.reader)
+            .await?;
+        Ok(usd.unwrap_or(0.0))
+    }
+
+    /// How many scenes a key has uploaded that are still there.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn scenes_of_key(&self, key_id: &str) -> Result<u32, StoreError> {
+        Ok(sqlx::query_scalar("SELECT count(*) FROM scenes WHERE key_id = ?")
+            .bind(key_id)
+            .fetch_one(&self.reader)
+            .await?)
+    }
+
+    /// Writes down what was done.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn insert_audit_entry(&self, entry: &AuditEntry) -> Result<(), StoreError> {
+        let AuditEntry { id, at, key_id, method, path, status, request_id } = entry;
+        let sql = "INSERT INTO audit (id, at, key_id, method, path, status, request_id) VALUES (?, ?, ?, ?, ?, ?, ?)";
+        sqlx::query(sql)
+            .bind(id)
+            .bind(at)
+            .bind(key_id)
+            .bind(method)
+            .bind(path)
+            .bind(status)
+            .bind(request_id)
+            .execute(self.writer.pool())
+            .await?;
+        Ok(())
+    }
+
+    /// What was done, newest first, before `cursor` (an id) only.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<AuditEntry>, StoreError> {
+        let sql = "SELECT * FROM audit WHERE ?1 IS NULL OR id < ?1 ORDER BY id DESC LIMIT ?2";
+        let rows = sqlx::query(sql).bind(cursor).bind(limit).fetch_all(&self.reader).await?;
+        let entry = |row: &SqliteRow| {
+            Ok(AuditEntry {
+                id: row.try_get("id")?,
+                at: row.try_get("at")?,
+                key_id: row.try_get("key_id")?,
+                method: row.try_get("method")?,
+                path: row.try_get("path")?,
+                status: row.try_get("status")?,
+                request_id: row.try_get("request_id")?,
+            })
+        };
+        rows.iter().map(entry).collect()
+    }
+
+    /// Removes what was done before an id, few enough at a time that nobody waits long; how many.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn delete_some_audit_before(&self, id: &str) -> Result<u64, StoreError> {
+        let sql = "DELETE FROM audit WHERE id IN (SELECT id FROM audit WHERE id < ? LIMIT 500)";
+        Ok(sqlx::query(sql).bind(id).execute(self.writer.pool()).await?.rows_affected())
+    }
+}
