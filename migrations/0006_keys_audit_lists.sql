@@ -14,9 +14,11 @@ CREATE TABLE keys (
     revoked_at          TEXT
 ) STRICT;
 
--- What is whose: scenes for quotas, batches and calls under way for money. Keys are never removed, so these always mean somebody.
+-- What is whose: scenes for quotas, jobs for turns, batches and calls under way for money. Keys are never removed, so these always mean somebody.
 ALTER TABLE scenes ADD COLUMN key_id TEXT;
 CREATE INDEX scenes_by_key ON scenes (key_id);
+ALTER TABLE jobs ADD COLUMN key_id TEXT;
+CREATE INDEX jobs_by_key ON jobs (kind, key_id, started_at);
 ALTER TABLE batches ADD COLUMN key_id TEXT;
 ALTER TABLE reservations ADD COLUMN key_id TEXT;
 

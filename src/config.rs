@@ -21,6 +21,7 @@ const DEFAULT_VLM_TIMEOUT_S: u64 = 300;
 const DEFAULT_VLM_ATTEMPTS: u32 = 5;
 const DEFAULT_VLM_BACKOFF_MS: u64 = 1000;
 const DEFAULT_MAX_CONNECTIONS: u32 = 1024;
+const DEFAULT_KEEP_FREE_BYTES: u64 = 256 << 20;
 const DEFAULT_KEEP_ANSWERS_DAYS: u32 = 365;
 const DEFAULT_KEEP_EVIDENCE_DAYS: u32 = 30;
 
@@ -298,6 +299,9 @@ pub struct LimitsConfig {
     /// Connections open at once
     #[arg(long, env = "UNIGROUND_MAX_CONNECTIONS", default_value_t = DEFAULT_MAX_CONNECTIONS, value_parser = clap::value_parser!(u32).range(8..=65_536))]
     pub max_connections: u32,
+    /// Room on the disk that uploads, parses and batches leave to the rest, bytes
+    #[arg(long, env = "UNIGROUND_KEEP_FREE_BYTES", default_value_t = DEFAULT_KEEP_FREE_BYTES)]
+    pub keep_free_bytes: u64,
     /// Days for which answers are kept; 0: for ever
     #[arg(long, env = "UNIGROUND_KEEP_ANSWERS_DAYS", default_value_t = DEFAULT_KEEP_ANSWERS_DAYS, value_name = "DAYS")]
     pub keep_answers_days: u32,
@@ -327,6 +331,7 @@ impl Default for LimitsConfig {
             max_queued_jobs: DEFAULT_MAX_QUEUED_JOBS,
             max_concurrent_questions: DEFAULT_MAX_CONCURRENT_QUESTIONS,
             max_connections: DEFAULT_MAX_CONNECTIONS,
+            keep_free_bytes: DEFAULT_KEEP_FREE_BYTES,
             keep_answers_days: DEFAULT_KEEP_ANSWERS_DAYS,
             keep_evidence_days: DEFAULT_KEEP_EVIDENCE_DAYS,
         }
@@ -339,6 +344,7 @@ impl LimitsConfig {
         Limits {
             max_upload_bytes: self.max_upload_bytes,
             unpack: UnpackLimits { max_bytes: self.max_unpacked_bytes, ..UnpackLimits::default() },
+            keep_free_bytes: self.keep_free_bytes,
             max_concurrent_questions: self.max_concurrent_questions as usize,
             keep_answers_days: self.keep_answers_days,
             keep_evidence_days: self.keep_evidence_days,

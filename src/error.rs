@@ -82,6 +82,8 @@ pub enum Error {
     UploadTooLarge { max_bytes: u64 },
     #[error("the upload broke off after {received} bytes")]
     UploadInterrupted { received: u64 },
+    #[error("only {} MB are free on the server's disk", free >> 20)]
+    DiskNearlyFull { free: u64 },
     #[error("a file could not be read or written")]
     Io(#[from] io::Error),
     #[error("background work stopped unexpectedly")]
@@ -142,6 +144,7 @@ impl Error {
             self,
             Self::Store(_)
                 | Self::Io(_)
+                | Self::DiskNearlyFull { .. }
                 | Self::Overloaded
                 | Self::AnswerNotKept
                 | Self::VlmFailed { .. }
@@ -156,6 +159,7 @@ impl Error {
         match self {
             Self::Store(error) | Self::Jobs(JobsError::Store(error)) => error.is_full(),
             Self::Io(error) | Self::Ingest(IngestError::Io { source: error, .. }) => is_disk_full(error),
+            Self::DiskNearlyFull { .. } => true,
             _ => false,
         }
     }
@@ -240,6 +244,7 @@ impl Error {
             Self::UploadTooLarge { .. } => "upload_too_large",
             Self::UploadInterrupted { .. } => "upload_interrupted",
             Self::Store(_) | Self::Io(_) | Self::AnswerNotKept => "storage_failed",
+            Self::DiskNearlyFull { .. } => "storage_full",
             Self::Background(_) => "internal",
         }
     }

@@ -141,6 +141,7 @@ fn status_of(error: &Error) -> StatusCode {
         Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
         Error::TooManyScenes { .. } | Error::KeyRefused => StatusCode::FORBIDDEN,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
+        Error::DiskNearlyFull { .. } => StatusCode::INSUFFICIENT_STORAGE,
         Error::Overloaded | Error::TooMany { .. } => StatusCode::TOO_MANY_REQUESTS,
         Error::ParseDamaged { .. } => StatusCode::SERVICE_UNAVAILABLE,
         Error::UploadTooSlow { .. } => StatusCode::REQUEST_TIMEOUT,

@@ -86,7 +86,9 @@ pub async fn create(
     })?;
     let mut settings = ParseSettings::from_request(preset, None).map_err(crate::error::Error::from)?;
     settings.import.up = up;
-    let new = NewScene { name, kind, parse: parse.then_some(settings), idempotency_key: header("idempotency-key").map(str::to_owned) };
+    let announced_bytes = header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
+    let idempotency_key = header("idempotency-key").map(str::to_owned);
+    let new = NewScene { name, kind, parse: parse.then_some(settings), idempotency_key, announced_bytes };
     let (scene, job) = app.service.create_scene(new, request.into_body().into_data_stream(), &caller).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
@@ -182,9 +184,10 @@ pub async fn delete(State(app): State<App>, Path(scene_id): Path<String>) -> Res
 pub async fn parse(
     State(app): State<App>,
     Path(scene_id): Path<String>,
+    Extension(caller): Asking,
     Json(ParseRequest { preset, settings }): Json<ParseRequest>,
 ) -> Result<(StatusCode, axum::Json<Job>), Refused> {
-    Ok((StatusCode::ACCEPTED, axum::Json(app.service.reparse(&scene_id, preset, settings).await?)))
+    Ok((StatusCode::ACCEPTED, axum::Json(app.service.reparse(&scene_id, preset, settings, &caller).await?)))
 }
 
 /// Has the vision-language model name every object of the current parse, in the background.

@@ -194,7 +194,7 @@ fn next_try(Retry { transient, backoff, .. }: Retry, attempts: i64) -> Option<Du
 mod tests {
     use super::*;
     use crate::jobs::{Job, JobsError};
-    use crate::store::Store;
+    use crate::store::{NewJob, Store};
     use camino::Utf8Path;
     use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -251,8 +251,12 @@ mod tests {
 
     const RECOVERY: Recovery = Recovery { give_up_after: 4, at_once: 2, wait: Duration::from_hours(1) };
 
+    fn written<'a>(kind: &'a str, payload: &'a str) -> NewJob<'a> {
+        NewJob { kind, payload, key_id: None, done: None }
+    }
+
     async fn submit(jobs: &Jobs, what: &str) -> String {
-        jobs.submit::<Obedient>("s", &what.to_owned()).await.unwrap().id
+        jobs.submit::<Obedient>("s", &what.to_owned(), None).await.unwrap().id
     }
 
     fn lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken) -> tokio::task::JoinHandle<()> {
@@ -275,10 +279,10 @@ mod tests {
     async fn jobs_succeed_fail_and_panic_each_to_their_end() {
         let folder = tempfile::tempdir().unwrap();
         let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
-        let stranger = jobs.store.insert_job("stranger", "s", "{}").await.unwrap().id;
+        let stranger = jobs.store.insert_job("s", &written("stranger", "{}")).await.unwrap().id;
         jobs.refuse_unknown_kinds(&[Obedient::NAME]).await.unwrap();
         assert_eq!(jobs.get(&stranger).await.unwrap().error.unwrap().code, "unknown_job_kind");
-        let unreadable = jobs.store.insert_job(Obedient::NAME, "s", "{").await.unwrap().id;
+        let unreadable = jobs.store.insert_job("s", &written(Obedient::NAME, "{")).await.unwrap().id;
         let worker = lane(&jobs, Obedient::default(), &shutdown);
         assert_eq!(until(&jobs, &unreadable, |j| j.state.is_final()).await.error.unwrap().code, "internal");
         for (what, state, code) in [
@@ -377,7 +381,7 @@ mod tests {
         let workers = [lane(&jobs, Slow, &shutdown), lane(&jobs, Obedient::default(), &shutdown)];
         let mut slow = Vec::new();
         for _ in 0..3 {
-            slow.push(jobs.submit::<Slow>("s", &()).await.unwrap().id);
+            slow.push(jobs.submit::<Slow>("s", &(), None).await.unwrap().id);
         }
         until(&jobs, &slow[1], |j| j.state == JobState::Running).await;
         let quick = submit(&jobs, "this").await;
@@ -389,6 +393,21 @@ mod tests {
         }
     }
 
+    /// Who brings ten jobs does not keep out who brings one.
+    #[tokio::test]
+    async fn keys_take_turns() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = queue(&folder).await;
+        for (key, what) in [("a", "a1"), ("a", "a2"), ("a", "a3"), ("b", "b1"), ("b", "b2")] {
+            jobs.submit::<Obedient>("s", &what.to_owned(), Some(key)).await.unwrap();
+        }
+        let mut turns = Vec::new();
+        while let Some(job) = jobs.store.claim_job(Obedient::NAME).await.unwrap() {
+            turns.push(job.payload.trim_matches('"').to_owned());
+        }
+        assert_eq!(turns, ["a1", "b1", "a2", "b2", "a3"]);
+    }
+
     #[tokio::test]
     async fn a_full_queue_says_so() {
         let folder = tempfile::tempdir().unwrap();
@@ -396,7 +415,7 @@ mod tests {
         for _ in 0..10 {
             submit(&jobs, "this").await;
         }
-        assert!(matches!(jobs.submit::<Obedient>("s", &String::new()).await, Err(JobsError::QueueFull { queued: 10 })));
-        jobs.submit::<Slow>("s", &()).await.unwrap();
+        assert!(matches!(jobs.submit::<Obedient>("s", &String::new(), None).await, Err(JobsError::QueueFull { queued: 10 })));
+        jobs.submit::<Slow>("s", &(), None).await.unwrap();
     }
 }

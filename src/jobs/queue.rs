@@ -1,7 +1,7 @@
 //! Submitting, watching and cancelling jobs.
 
 use super::{Job, JobKind, JobList, job_of};
-use crate::store::{JobFilter, JobRow, JobState, Store, StoreError};
+use crate::store::{JobFilter, JobRow, NewJob, JobState, Store, StoreError};
 use jiff::Timestamp;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -66,14 +66,14 @@ impl Jobs {
         Self { store, bells: Arc::default(), running: Arc::default(), looked_at: Arc::new(Recent::new(FOLLOWED)), max_queued }
     }
 
-    /// Queues a job on a subject: the id of what it works on.
+    /// Queues a job on a subject: the id of what it works on; `key_id` is who asked for it.
     ///
     /// # Errors
     /// [`JobsError::QueueFull`] when too many of its kind wait already.
-    pub async fn submit<K: JobKind>(&self, subject: &str, payload: &K::Payload) -> Result<Job, JobsError> {
+    pub async fn submit<K: JobKind>(&self, subject: &str, payload: &K::Payload, key_id: Option<&str>) -> Result<Job, JobsError> {
         self.check_room::<K>().await?;
         let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
-        let row = self.store.insert_job(K::NAME, subject, &payload).await?;
+        let row = self.store.insert_job(subject, &NewJob { kind: K::NAME, payload: &payload, key_id, done: None }).await?;
         Ok(self.recorded::<K>(row))
     }
 

@@ -44,6 +44,8 @@ use uniground_core::progress::{Cancelled, Progress};
 pub struct Limits {
     pub max_upload_bytes: u64,
     pub unpack: UnpackLimits,
+    /// Room on the disk that uploads, parses and batches leave to the rest.
+    pub keep_free_bytes: u64,
     /// Questions being answered at once; more wait their turn, shortly.
     pub max_concurrent_questions: usize,
     /// Days for which answers are kept; 0: for ever.
@@ -122,6 +124,12 @@ impl Service {
                 health
             }
         }
+    }
+
+    /// Whether there is room for something more of a size, and some for the rest: what runs goes on, questions are answered and kept.
+    fn check_disk(&self, bytes: u64) -> Result<(), Error> {
+        let free = self.store.free_bytes()?;
+        if free < self.limits.keep_free_bytes.saturating_add(bytes) { Err(Error::DiskNearlyFull { free }) } else { Ok(()) }
     }
 
     /// Waits for one of the bounded places at work on questions; not for long.

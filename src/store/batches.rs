@@ -1,6 +1,6 @@
 //! Batches and their items.
 
-use super::{JobRow, Store, StoreError, now};
+use super::{JobRow, NewJob, Store, StoreError, now};
 use sqlx::sqlite::SqliteRow;
 use sqlx::{FromRow, Row};
 use std::collections::BTreeMap;
@@ -150,8 +150,7 @@ impl Store {
         items: u32,
         request: &str,
         key: Option<&str>,
-        kind: &str,
-        payload: &str,
+        job: &NewJob<'_>,
     ) -> Result<Submitted, StoreError> {
         let mut tx = self.writer.begin().await?;
         if let Some(key) = key {
@@ -162,7 +161,7 @@ impl Store {
                 return Ok(if same { Submitted::MadeBefore(before) } else { Submitted::KeyReused });
             }
         }
-        let job = super::jobs::insert(&mut tx, &self.new_id(), kind, id, payload).await?;
+        let job = super::jobs::insert(&mut tx, &self.new_id(), id, job).await?;
         let sql = "UPDATE batches SET state = 'running', items = ?, request = ?, key = ?, job_id = ? WHERE id = ?";
         sqlx::query(sql)
             .bind(items)

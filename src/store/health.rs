@@ -44,6 +44,14 @@ impl Store {
         StoreHealth { database, blobs: readable.err().map(|error| error.to_string()), disk }
     }
 
+    /// Bytes that may still be written.
+    ///
+    /// # Errors
+    /// [`StoreError::Blobs`].
+    pub fn free_bytes(&self) -> Result<u64, StoreError> {
+        Ok(self.folder.free_bytes()?)
+    }
+
     /// What SQLite finds wrong with the database; nothing where all is well.
     ///
     /// # Errors

@@ -64,6 +64,8 @@ pub struct JobFilter {
 pub struct NewJob<'a> {
     pub kind: &'a str,
     pub payload: &'a str,
+    /// Who asked for it.
+    pub key_id: Option<&'a str>,
     /// The parse that was there already, and a sentence about that.
     pub done: Option<(&'a str, &'a str)>,
 }
@@ -71,12 +73,11 @@ pub struct NewJob<'a> {
 pub(super) async fn insert(
     connection: &mut SqliteConnection,
     id: &str,
-    kind: &str,
     subject: &str,
-    payload: &str,
+    NewJob { kind, payload, key_id, done: _ }: &NewJob<'_>,
 ) -> Result<JobRow, StoreError> {
-    let sql = "INSERT INTO jobs (id, kind, subject, payload, state, created_at) VALUES (?, ?, ?, ?, 'queued', ?) RETURNING *";
-    let row = sqlx::query_as(sql).bind(id).bind(kind).bind(subject).bind(payload).bind(now());
+    let sql = "INSERT INTO jobs (id, kind, subject, payload, state, key_id, created_at) VALUES (?, ?, ?, ?, 'queued', ?, ?) RETURNING *";
+    let row = sqlx::query_as(sql).bind(id).bind(kind).bind(subject).bind(payload).bind(key_id).bind(now());
     Ok(row.fetch_one(connection).await?)
 }
 
@@ -84,14 +85,13 @@ pub(super) async fn insert(
 pub(super) async fn insert_done(
     connection: &mut SqliteConnection,
     id: &str,
-    kind: &str,
     subject: &str,
-    payload: &str,
+    NewJob { kind, payload, key_id, done: _ }: &NewJob<'_>,
     message: &str,
 ) -> Result<JobRow, StoreError> {
-    let sql = "INSERT INTO jobs (id, kind, subject, payload, state, progress, message, created_at, started_at, finished_at)
-               VALUES (?1, ?2, ?3, ?4, 'succeeded', 1.0, ?5, ?6, ?6, ?6) RETURNING *";
-    let row = sqlx::query_as(sql).bind(id).bind(kind).bind(subject).bind(payload).bind(message).bind(now());
+    let sql = "INSERT INTO jobs (id, kind, subject, payload, state, progress, message, key_id, created_at, started_at, finished_at)
+               VALUES (?1, ?2, ?3, ?4, 'succeeded', 1.0, ?5, ?6, ?7, ?7, ?7) RETURNING *";
+    let row = sqlx::query_as(sql).bind(id).bind(kind).bind(subject).bind(payload).bind(message).bind(key_id).bind(now());
     Ok(row.fetch_one(connection).await?)
 }
 
@@ -112,9 +112,9 @@ const LONGEST_WAIT: Duration = Duration::from_hours(2);
 impl Store {
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn insert_job(&self, kind: &str, subject: &str, payload: &str) -> Result<JobRow, StoreError> {
+    pub async fn insert_job(&self, subject: &str, new: &NewJob<'_>) -> Result<JobRow, StoreError> {
         let mut tx = self.writer.begin().await?;
-        let row = insert(&mut tx, &self.new_id(), kind, subject, payload).await?;
+        let row = insert(&mut tx, &self.new_id(), subject, new).await?;
         tx.commit().await?;
         Ok(row)
     }
@@ -155,13 +155,14 @@ impl Store {
             .await?)
     }
 
-    /// Takes the oldest queued job of a kind that is due; one UPDATE, so no two workers get the same. `None` also when somebody was faster.
+    /// Takes a queued job of a kind that is due: of the key whose last turn is longest ago, so that nobody waits behind all jobs of one
+    /// other; of that key the oldest. One UPDATE, so no two workers get the same. `None` also when somebody was faster.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn claim_job(&self, kind: &str) -> Result<Option<JobRow>, StoreError> {
-        let due = "SELECT id FROM jobs WHERE kind = ?1 AND state = 'queued' AND (not_before IS NULL OR not_before <= ?2 OR not_before > ?3)
-                   ORDER BY id LIMIT 1";
+        let due = "SELECT id FROM jobs AS due WHERE kind = ?1 AND state = 'queued' AND (not_before IS NULL OR not_before <= ?2 OR not_before > ?3)
+                   ORDER BY (SELECT max(started_at) FROM jobs WHERE kind = ?1 AND key_id IS due.key_id), id LIMIT 1";
         let (time, too_late) = (now(), after(LONGEST_WAIT));
         // Looked for among the readers first: a queue that is empty writes nothing.
         let id: Option<String> = sqlx::query_scalar(due).bind(kind).bind(&time).bind(too_late).fetch_optional(&self.reader).await?;

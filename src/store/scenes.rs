@@ -225,14 +225,14 @@ impl Store {
 
 /// Adds a job on a scene, in somebody's transaction.
 async fn add_job(tx: &mut Transaction, scene_id: &str, id: &str, job: NewJob<'_>) -> Result<JobRow, StoreError> {
-    let NewJob { kind, payload, done } = job;
+    let done = job.done;
     let time = now();
     let sql = "UPDATE scenes SET job_id = ?, updated_at = ? WHERE id = ?";
     sqlx::query(sql).bind(id).bind(&time).bind(scene_id).execute(&mut **tx).await?;
     let Some((parse_id, message)) = done else {
-        return super::jobs::insert(tx, id, kind, scene_id, payload).await;
+        return super::jobs::insert(tx, id, scene_id, &job).await;
     };
     let sql = "UPDATE scenes SET parse_version = parse_version + (parse_id IS NOT ?1), parse_id = ?1 WHERE id = ?2";
     sqlx::query(sql).bind(parse_id).bind(scene_id).execute(&mut **tx).await?;
-    super::jobs::insert_done(tx, id, kind, scene_id, payload, message).await
+    super::jobs::insert_done(tx, id, scene_id, &job, message).await
 }

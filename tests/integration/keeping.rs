@@ -1,7 +1,7 @@
 //! What a data folder keeps, what it lets go of, and how damage in it is found and mended.
 
 use crate::archives::Scan;
-use crate::server::{Process, TestServer, ask, finished, parsed};
+use crate::server::{Process, TestServer, ask, finished, parsed, problem};
 use camino::{Utf8Path, Utf8PathBuf};
 use sqlx::Connection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
@@ -120,4 +120,20 @@ async fn old_answers_go_and_new_ones_stay() {
     let left: Vec<String> = sqlx::query_scalar("SELECT id FROM answers").fetch_all(&mut rows).await.unwrap();
     assert_eq!(left, [answer.id]);
     store.close().await;
+}
+
+/// Before the disk is full nothing new is taken, and what is there goes on.
+#[tokio::test]
+async fn a_disk_that_is_nearly_full_takes_no_more_scans() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let data = server.give_back().await;
+    let limits = LimitsConfig { keep_free_bytes: 1 << 60, ..LimitsConfig::default() };
+    let server = TestServer::start_on(data, limits, VlmConfig::default(), ModelsConfig::default()).await;
+    let refused = problem(server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await);
+    assert_eq!((refused.status, refused.code.as_str()), (507, "storage_full"));
+    let parse = serde_json::json!({"settings": {"parsing": {"merging": {"keep_planes_apart": false}}}});
+    assert_eq!(problem(server.client.parse(&scene.id, &parse).await).code, "storage_full");
+    assert!(server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap().stored);
+    server.stop().await;
 }

@@ -5,7 +5,7 @@ use super::{BatchJob, MAX_CONCURRENCY, MAX_ITEMS, MAX_LABEL_CHARS};
 use crate::error::Error;
 use crate::jobs::JobKind;
 use crate::service::{Caller, Service};
-use crate::store::{NewBatch, NewItem, Store, Submitted};
+use crate::store::{NewBatch, NewItem, NewJob, Store, Submitted};
 use bytes::Bytes;
 use futures::{Stream, StreamExt};
 use serde_json::{Map, Value};
@@ -201,6 +201,7 @@ impl Service {
         let batch_id = if before.is_some() {
             None
         } else {
+            self.check_disk(0)?;
             self.jobs.check_room::<BatchJob>().await?;
             let Submission { label, concurrency, max_cost_usd, .. } = &submission;
             let new = NewBatch { label: label.as_deref(), concurrency: *concurrency, max_cost_usd: *max_cost_usd, key_id: caller.key_id() };
@@ -236,7 +237,8 @@ impl Service {
         };
         taken?;
         let payload = serde_json::to_string(&Payload { batch_id: id.clone() })?;
-        match self.store.submit_batch(&id, items, &request, key.as_deref(), BatchJob::NAME, &payload).await? {
+        let job = NewJob { kind: BatchJob::NAME, payload: &payload, key_id: caller.key_id(), done: None };
+        match self.store.submit_batch(&id, items, &request, key.as_deref(), &job).await? {
             Submitted::New(job) => {
                 unfinished.id = None;
                 self.jobs.recorded::<BatchJob>(job);

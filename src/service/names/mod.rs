@@ -48,7 +48,7 @@ impl Service {
         }
         let (scene, _) = self.ready_scene(scene_id).await?;
         let payload = Payload { scene_id: scene.id.clone(), key_id: caller.key_id().map(str::to_owned) };
-        Ok(self.jobs.submit::<NamingJob>(&scene.id, &payload).await?)
+        Ok(self.jobs.submit::<NamingJob>(&scene.id, &payload, caller.key_id()).await?)
     }
 
     /// Names the configured model gave to the instances of a parse.

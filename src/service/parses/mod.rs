@@ -10,7 +10,7 @@ pub use cache::{LoadedParse, ParseCache};
 pub use files::{ParseFile, view};
 pub use job::ParseJob;
 
-use super::Service;
+use super::{Caller, Service};
 use crate::error::Error;
 use crate::jobs::{Job, JobKind};
 use crate::store::{Damage, Look, NewJob, ParseRecord};
@@ -36,10 +36,11 @@ impl Service {
     ///
     /// # Errors
     /// [`Error`] when the scene is unknown or the queue is full.
-    pub async fn start_parse(&self, scene_id: &str, settings: &ParseSettings) -> Result<Job, Error> {
+    pub async fn start_parse(&self, scene_id: &str, settings: &ParseSettings, caller: &Caller) -> Result<Job, Error> {
         let scene = self.scene_row(scene_id).await?;
-        let wanted = self.wanted_parse(&scene.id, &scene.content_hash, settings).await?;
+        let wanted = self.wanted_parse(&scene.id, &scene.content_hash, settings, caller).await?;
         if wanted.stored.is_none() {
+            self.check_disk(0)?;
             self.jobs.check_room::<ParseJob>().await?;
         }
         let row = self.store.insert_scene_job(&scene.id, wanted.job()).await?;
@@ -48,16 +49,29 @@ impl Service {
     }
 
     /// What a scene's parse comes to, before it is recorded.
-    pub(super) async fn wanted_parse(&self, scene_id: &str, content_hash: &str, settings: &ParseSettings) -> Result<WantedParse, Error> {
-        let payload = Payload { scene_id: scene_id.to_owned(), settings: settings.clone() };
-        Ok(WantedParse { payload: serde_json::to_string(&payload)?, stored: self.stored_parse(content_hash, settings).await? })
+    pub(super) async fn wanted_parse(
+        &self,
+        scene_id: &str,
+        content_hash: &str,
+        settings: &ParseSettings,
+        caller: &Caller,
+    ) -> Result<WantedParse, Error> {
+        let payload = serde_json::to_string(&Payload { scene_id: scene_id.to_owned(), settings: settings.clone() })?;
+        let stored = self.stored_parse(content_hash, settings).await?;
+        Ok(WantedParse { payload, key_id: caller.key_id().map(str::to_owned), stored })
     }
 
     /// Parses a scene again: a preset with single values replaced. What is up was settled at the upload and stays, unless said.
     ///
     /// # Errors
     /// [`Error`] for settings that make no sense, an unknown scene or a full queue.
-    pub async fn reparse(&self, scene_id: &str, preset: ParsePreset, overrides: Option<serde_json::Value>) -> Result<Job, Error> {
+    pub async fn reparse(
+        &self,
+        scene_id: &str,
+        preset: ParsePreset,
+        overrides: Option<serde_json::Value>,
+        caller: &Caller,
+    ) -> Result<Job, Error> {
         let mut settings = ParseSettings::from_request(preset, overrides)?;
         let scene = self.scene_row(scene_id).await?;
         if settings.import.up.is_none()
@@ -66,7 +80,7 @@ impl Service {
         {
             settings.import.up = job::up_asked_for(&job.payload);
         }
-        self.start_parse(scene_id, &settings).await
+        self.start_parse(scene_id, &settings, caller).await
     }
 
     /// A file of a scene's current parse.
@@ -103,7 +117,7 @@ impl Service {
         for scene in self.store.retire_parse(parse_id).await? {
             let Some(settings) = &settings else { continue };
             let payload = serde_json::to_string(&Payload { scene_id: scene.id.clone(), settings: settings.clone() })?;
-            let job = NewJob { kind: ParseJob::NAME, payload: &payload, done: None };
+            let job = NewJob { kind: ParseJob::NAME, payload: &payload, key_id: None, done: None };
             if let Some(row) = self.store.insert_scene_job(&scene.id, job).await? {
                 tracing::info!(parse_id, scene_id = scene.id, job_id = row.id, "a parse is made anew");
                 self.jobs.recorded::<ParseJob>(row);
@@ -179,13 +193,14 @@ impl Service {
 /// A parse somebody wants: to be made, or there already.
 pub(super) struct WantedParse {
     payload: String,
+    key_id: Option<String>,
     pub(super) stored: Option<String>,
 }
 
 impl WantedParse {
     pub(super) fn job(&self) -> NewJob<'_> {
         let done = self.stored.as_deref().map(|id| (id, job::STORED_PARSE_USED));
-        NewJob { kind: ParseJob::NAME, payload: &self.payload, done }
+        NewJob { kind: ParseJob::NAME, payload: &self.payload, key_id: self.key_id.as_deref(), done }
     }
 }
 

@@ -28,6 +28,8 @@ pub struct NewScene {
     /// Parse at once, with these settings.
     pub parse: Option<ParseSettings>,
     pub idempotency_key: Option<String>,
+    /// Bytes it says it has.
+    pub announced_bytes: u64,
 }
 
 /// An archive on disk.
@@ -90,7 +92,7 @@ impl Service {
         body: impl Stream<Item = Result<Bytes, E>> + Unpin,
         caller: &Caller,
     ) -> Result<(Scene, Option<Job>), Error> {
-        let NewScene { name, kind, parse, idempotency_key } = new;
+        let NewScene { name, kind, parse, idempotency_key, announced_bytes } = new;
         let idempotency_key = idempotency_key.map(|key| caller.own(key));
         if let Some(name) = &name {
             check_name("/name", name)?;
@@ -100,6 +102,7 @@ impl Service {
             None => None,
         };
         if made_before.is_none() {
+            self.check_disk(announced_bytes)?;
             self.check_quota(caller).await?;
             if parse.is_some() {
                 self.jobs.check_room::<ParseJob>().await?;
@@ -117,7 +120,7 @@ impl Service {
         if let Some((scene, before)) = made_before {
             // Servers of before requests were noted believed the key.
             return match before.is_none_or(|before| before == request) {
-                true => self.made_before(scene, parse).await,
+                true => self.made_before(scene, parse, caller).await,
                 false => Err(Error::IdempotencyKeyReused),
             };
         }
@@ -146,7 +149,7 @@ impl Service {
         }
         let id = self.store.new_id();
         let wanted = match &parse {
-            Some(settings) => Some(self.wanted_parse(&id, &received.hash, settings).await?),
+            Some(settings) => Some(self.wanted_parse(&id, &received.hash, settings, caller).await?),
             None => None,
         };
         if wanted.as_ref().is_some_and(|wanted| wanted.stored.is_none()) {
@@ -165,7 +168,7 @@ impl Service {
         drop(references);
         match inserted {
             Inserted::New(row, job) => Ok((self.present(row).await?, job.map(|job| self.jobs.recorded::<ParseJob>(*job)))),
-            Inserted::MadeBefore(row) => self.made_before(row, parse).await,
+            Inserted::MadeBefore(row) => self.made_before(row, parse, caller).await,
             Inserted::KeyReused => Err(Error::IdempotencyKeyReused),
         }
     }
@@ -177,9 +180,9 @@ impl Service {
     }
 
     /// The scene an idempotency key made. A server that was killed in the middle may have left it without its job.
-    async fn made_before(&self, row: SceneRow, parse: Option<ParseSettings>) -> Result<(Scene, Option<Job>), Error> {
+    async fn made_before(&self, row: SceneRow, parse: Option<ParseSettings>, caller: &Caller) -> Result<(Scene, Option<Job>), Error> {
         let job = match (self.job_of(&row).await?, parse) {
-            (None, Some(settings)) if row.parse_id.is_none() => Some(self.start_parse(&row.id, &settings).await?),
+            (None, Some(settings)) if row.parse_id.is_none() => Some(self.start_parse(&row.id, &settings, caller).await?),
             (job, _) => job,
         };
         Ok((self.scene(&row.id).await?, job))
