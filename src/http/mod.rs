@@ -14,6 +14,7 @@ mod paging;
 mod problem;
 mod reports;
 mod scenes;
+mod stats;
 
 pub use auth::ApiKey;
 use auth::BearerAuth;
@@ -21,6 +22,7 @@ pub use connections::serve;
 pub use hosts::AllowedHosts;
 use problem::Refused;
 
+use crate::metrics::Metrics;
 use crate::service::Service;
 use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderName, HeaderValue, header};
@@ -50,8 +52,8 @@ pub struct App {
     pub api_key: Option<Arc<ApiKey>>,
     /// Cancelled when the server stops: open event streams end.
     pub shutdown: CancellationToken,
-    /// Cancelled when a lane of jobs has ended.
-    pub lane_ended: CancellationToken,
+    /// Where requests are counted.
+    pub metrics: Arc<Metrics>,
     /// By which names this server may be called; any, where not set.
     pub allowed_hosts: Option<Arc<AllowedHosts>>,
     /// One for each event stream that may be open.
@@ -75,7 +77,7 @@ pub const MAX_EVENT_STREAMS: usize = 256;
         (name = "grounding", description = "Questions and answers"),
         (name = "batches", description = "Lists of questions, asked in the background"),
         (name = "jobs", description = "Work in the background"),
-        (name = "service", description = "Health")
+        (name = "service", description = "Health and numbers")
     ),
     modifiers(&BearerAuth)
 )]
@@ -117,6 +119,8 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(answers::picture))
         .routes(routes!(answers::prompt))
         .routes(routes!(answers::reply))
+        .routes(routes!(stats::stats))
+        .routes(routes!(stats::metrics))
         .routes(routes!(health::models))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
@@ -142,7 +146,7 @@ pub fn router(app: App) -> Router {
         .merge(page)
         .fallback(problem::no_such_route)
         .method_not_allowed_fallback(problem::method_not_allowed)
-        .layer(middleware::from_fn_with_state(app, hosts::check))
+        .layer(middleware::from_fn_with_state(app.clone(), hosts::check))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(problem::name_request))
         .layer(always(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
@@ -161,6 +165,7 @@ pub fn router(app: App) -> Router {
                 .on_failure(()),
         )
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
+        .layer(middleware::from_fn_with_state(app, stats::count))
         .layer(MapRequestLayer::new(without_odd_id))
 }
 

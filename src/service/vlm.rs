@@ -1,10 +1,12 @@
 //! The configured vision-language model, and what may be spent on it.
 
 use crate::error::Error;
+use crate::metrics::Metrics;
 use crate::store::{Store, now};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use uniground_core::models::chat::{Budget, ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Prices};
 use uniground_core::models::with_causes;
@@ -17,6 +19,14 @@ pub struct Vlm {
     /// Questions that wait for the model; more are told to come back.
     places: Arc<Semaphore>,
     today: Mutex<Option<Today>>,
+    condition: Arc<Mutex<Condition>>,
+}
+
+/// What became of the latest calls.
+#[derive(Default)]
+struct Condition {
+    /// Calls in a row that the model did not answer, by the last one's outcome, and when the first of them was.
+    failing: Option<(u32, &'static str, String)>,
 }
 
 /// What may be spent on one day.
@@ -40,9 +50,34 @@ const MAX_WAITING: usize = 256;
 
 impl Vlm {
     #[must_use]
-    pub fn new(model: Arc<dyn ChatModel>, settings: VlmSettings, store: Store) -> Self {
-        let model = Arc::new(Metered { model, store });
-        Self { model, settings, places: Arc::new(Semaphore::new(MAX_WAITING)), today: Mutex::default() }
+    pub fn new(model: Arc<dyn ChatModel>, settings: VlmSettings, store: Store, metrics: Arc<Metrics>) -> Self {
+        metrics.vlm.knows(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE]);
+        let condition = Arc::default();
+        let model = Arc::new(Metered { model, store, metrics, condition: Arc::clone(&condition) });
+        Self { model, settings, places: Arc::new(Semaphore::new(MAX_WAITING)), today: Mutex::default(), condition }
+    }
+
+    /// Whether the model answered when it was asked last; else since when it has not, and what happens instead.
+    pub(super) fn condition(&self) -> Result<(), String> {
+        match &self.condition.lock().unwrap_or_else(PoisonError::into_inner).failing {
+            None => Ok(()),
+            Some((calls, outcome, since)) => Err(format!("{outcome} since {since} ({calls} calls)")),
+        }
+    }
+
+    /// Questions that have a place among those who wait.
+    pub(super) fn waiting(&self) -> usize {
+        MAX_WAITING.saturating_sub(self.places.available_permits())
+    }
+
+    /// US dollars.
+    pub(super) fn daily_limit_usd(&self) -> Option<f64> {
+        self.settings.daily_usd
+    }
+
+    /// US dollars, calls under way left out.
+    pub(super) async fn spent_today_usd(&self, store: &Store) -> Result<f64, Error> {
+        Ok(self.budget_of_today(store).await?.spent_usd())
     }
 
     pub(super) fn name(&self) -> &str {
@@ -84,14 +119,73 @@ impl Vlm {
 }
 
 /// Today's date, UTC.
-fn today() -> String {
+pub(super) fn today() -> String {
     now()[..10].to_owned()
 }
 
+/// What may come of a call.
+const ANSWERED: &str = "answered";
+const REFUSED: &str = "refused";
+const UNREACHABLE: &str = "unreachable";
+const UNREADABLE: &str = "unreadable";
+/// Whoever asked left before there was an answer.
+const ABANDONED: &str = "abandoned";
+
+fn outcome_of(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
+    match answered {
+        Ok(_) => ANSWERED,
+        Err(ChatFailure { error, .. }) => match error {
+            ChatError::Refused { .. } => REFUSED,
+            ChatError::Transport(_) => UNREACHABLE,
+            ChatError::Undecodable(_) => UNREADABLE,
+            ChatError::NotRecorded(_) | ChatError::ReplayCache(_) => "not_recorded",
+            ChatError::NotRecordable(_) => "not_recordable",
+        },
+    }
+}
+
 /// A model whose calls are written down before they are made: whatever becomes of the server or of who asked, what was spent is known.
+/// They are counted, too.
 struct Metered {
     model: Arc<dyn ChatModel>,
     store: Store,
+    metrics: Arc<Metrics>,
+    condition: Arc<Mutex<Condition>>,
+}
+
+impl Metered {
+    async fn ask_paid(&self, request: &ChatRequest) -> Result<ChatReply, ChatFailure> {
+        let prices = self.model.prices();
+        if !prices.are_known() {
+            return self.model.ask(request).await;
+        }
+        let thought_usd = prices.thought_usd(request);
+        let reserved = self.store.reserve_spending(&today(), thought_usd).await;
+        let id = reserved.map_err(|error| {
+            let error = ChatError::NotRecordable(with_causes(&error));
+            ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 }
+        })?;
+        // Who leaves while the model thinks has asked it all the same.
+        let mut call = Call { store: self.store.clone(), open: Some((id, thought_usd)) };
+        let outcome = self.model.ask(request).await;
+        call.open = call.open.take().map(|(id, _)| (id, prices.paid_usd(request, &outcome)));
+        call.settle().await;
+        outcome
+    }
+
+    fn count(&self, outcome: &'static str, attempts: u32, start: Instant, usd: f64) {
+        self.metrics.vlm.called(outcome, attempts, start.elapsed());
+        self.metrics.vlm.paid(usd);
+        let mut condition = self.condition.lock().unwrap_or_else(PoisonError::into_inner);
+        match outcome {
+            ANSWERED => condition.failing = None,
+            REFUSED | UNREACHABLE | UNREADABLE => {
+                let (calls, _, since) = condition.failing.take().unwrap_or_else(|| (0, outcome, now()));
+                condition.failing = Some((calls + 1, outcome, since));
+            }
+            _ => {}
+        }
+    }
 }
 
 impl ChatModel for Metered {
@@ -105,24 +199,36 @@ impl ChatModel for Metered {
 
     fn ask<'a>(&'a self, request: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
         async move {
-            let prices = self.model.prices();
-            if !prices.are_known() {
-                return self.model.ask(request).await;
-            }
-            let thought_usd = prices.thought_usd(request);
-            let reserved = self.store.reserve_spending(&today(), thought_usd).await;
-            let id = reserved.map_err(|error| {
-                let error = ChatError::NotRecordable(with_causes(&error));
-                ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 }
-            })?;
-            // Who leaves while the model thinks has asked it all the same.
-            let mut call = Call { store: self.store.clone(), open: Some((id, thought_usd)) };
-            let outcome = self.model.ask(request).await;
-            call.open = call.open.take().map(|(id, _)| (id, prices.paid_usd(request, &outcome)));
-            call.settle().await;
-            outcome
+            let mut counted = Counted { metered: self, start: Instant::now(), thought_usd: Some(self.prices().thought_usd(request)) };
+            let answered = self.ask_paid(request).await;
+            counted.thought_usd = None;
+            let (attempts, usd) = match &answered {
+                Ok(reply) => {
+                    self.metrics.vlm.counted(reply.prompt_tokens, reply.completion_tokens);
+                    (reply.attempts, self.prices().paid_usd(request, &answered))
+                }
+                Err(failure) => (failure.attempts, self.prices().paid_usd(request, &answered)),
+            };
+            self.count(outcome_of(&answered), attempts, counted.start, usd);
+            answered
         }
         .boxed()
+    }
+}
+
+/// A call that will be counted, also when nobody waits for its end.
+struct Counted<'a> {
+    metered: &'a Metered,
+    start: Instant,
+    /// What the call is taken to cost as long as it is under way.
+    thought_usd: Option<f64>,
+}
+
+impl Drop for Counted<'_> {
+    fn drop(&mut self) {
+        if let Some(usd) = self.thought_usd {
+            self.metered.count(ABANDONED, 1, self.start, usd);
+        }
     }
 }
 
