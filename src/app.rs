@@ -3,7 +3,9 @@
 use crate::chat::ReplayCache;
 use crate::config::ServeConfig;
 use crate::http::{self, AllowedHosts, App, MAX_EVENT_STREAMS};
+use crate::inference::Probe;
 use crate::jobs::{JobKind, Jobs};
+use crate::metrics::Metrics;
 use crate::service::{BatchJob, Keyring, NamingJob, ParseJob, Service, Vlm, VlmSettings};
 use crate::store::Store;
 use anyhow::{Context, ensure};
@@ -44,7 +46,8 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     );
     // With a key, who asks knows it; on an address of the network, the operator has said that anybody may.
     let is_private = !keys.is_wanted() && config.listen.ip().is_loopback();
-    let jobs = Jobs::new(store.clone(), config.limits.max_queued_jobs);
+    let metrics = Arc::<Metrics>::default();
+    let jobs = Jobs::new(store.clone(), config.limits.max_queued_jobs).counted_by(metrics.clone());
     let models = tokio::task::spawn_blocking({
         let config = config.models.clone();
         move || config.load()
@@ -57,42 +60,39 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     let vlm = config
         .vlm
         .client(ReplayCache::Off)?
-        .map(|client| Vlm::new(Arc::new(client), vlm_settings, store.clone()));
+        .map(|client| Vlm::new(Arc::new(client), vlm_settings, store.clone(), metrics.clone()));
     let parsing = background::pool().context("threads for parses")?;
-    let service = Service::new(store.clone(), jobs.clone(), keys, config.limits.service_limits(), vlm, models, parsing);
+    let inference = config.models.bundles.inference_url.as_deref().filter(|_| !models.loaded.is_empty());
+    let inference = inference.map(Probe::new).transpose().context("a client for the inference server")?;
+    let service = Service::new(store.clone(), jobs.clone(), keys, config.limits.service_limits(), vlm, models, parsing).watching(inference);
     let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
 
     let shutdown = CancellationToken::new();
-    let lane_ended = CancellationToken::new();
     jobs.refuse_unknown_kinds(&[ParseJob::NAME, NamingJob::NAME, BatchJob::NAME]).await?;
     let lanes = vec![
-        start_lane(&jobs, ParseJob(service.clone()), &shutdown, &lane_ended),
-        start_lane(&jobs, NamingJob(service.clone()), &shutdown, &lane_ended),
-        start_lane(&jobs, BatchJob(service.clone()), &shutdown, &lane_ended),
+        start_lane(&jobs, ParseJob(service.clone()), &shutdown),
+        start_lane(&jobs, NamingJob(service.clone()), &shutdown),
+        start_lane(&jobs, BatchJob(service.clone()), &shutdown),
     ];
     tokio::spawn(keep_house(service.clone(), shutdown.clone()));
     let app = App {
         service,
         scopes: Arc::new(http::scopes()),
         shutdown: shutdown.clone(),
-        lane_ended,
+        metrics: metrics.clone(),
         allowed_hosts: is_private.then(|| Arc::new(AllowedHosts::new(&config.access.allowed_hosts))),
         event_streams: Arc::new(Semaphore::new(MAX_EVENT_STREAMS)),
     };
     let most = most_connections(config.limits.max_connections);
-    let server = tokio::spawn(http::serve(listener, http::router(app), most, shutdown.clone()));
+    let server = tokio::spawn(http::serve(listener, http::router(app), most, metrics, shutdown.clone()));
     Ok(RunningService { address, shutdown, server, lanes, store })
 }
 
 /// Gives a kind of job its lane.
-fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken, ended: &CancellationToken) -> JoinHandle<()> {
-    let (jobs, shutdown, ended) = (jobs.clone(), shutdown.clone(), ended.clone());
-    tokio::spawn(async move {
-        // Dropped however the lane ends, so that /readyz learns of it.
-        let _ended = ended.drop_guard();
-        jobs.run_lane(Arc::new(kind), shutdown).await;
-    })
+fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken) -> JoinHandle<()> {
+    let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
+    tokio::spawn(async move { jobs.run_lane(Arc::new(kind), shutdown).await })
 }
 
 /// Removes what was kept long enough, sweeps, and looks whether what is stored is still what was written: a while after the start, and every day.

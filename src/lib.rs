@@ -8,6 +8,7 @@ pub mod evaluation;
 pub mod http;
 pub mod inference;
 pub mod jobs;
+pub mod metrics;
 pub mod service;
 pub mod store;
 pub mod telemetry;

@@ -4,6 +4,7 @@
 //! idle or half way through a header longest gives its place to a newcomer. Those with a request under way keep theirs.
 
 use super::problem::Refused;
+use crate::metrics::Metrics;
 use axum::Router;
 use axum::body::{Body, Bytes};
 use axum::http::Request;
@@ -33,8 +34,9 @@ const WRITE_TIME: Duration = Duration::from_secs(30);
 const MAX_HEADER_BYTES: usize = 64 << 10;
 
 /// Serves until `shutdown`; then requests under way are finished. Trouble with one connection is that connection's.
-pub async fn serve(listener: TcpListener, router: Router, most: usize, shutdown: CancellationToken) {
-    let (places, graceful) = (Places::new(most), GracefulShutdown::new());
+pub async fn serve(listener: TcpListener, router: Router, most: usize, metrics: Arc<Metrics>, shutdown: CancellationToken) {
+    metrics.requests.connections_limit.set(most as i64);
+    let (places, graceful) = (Places::new(most, metrics.clone()), GracefulShutdown::new());
     loop {
         let accepted = tokio::select! {
             accepted = listener.accept() => accepted,
@@ -43,7 +45,7 @@ pub async fn serve(listener: TcpListener, router: Router, most: usize, shutdown:
         match accepted {
             Ok((stream, _)) => match places.enter() {
                 Some(place) => drop(tokio::spawn(connection(stream, router.clone(), place, graceful.watcher()))),
-                None => drop(tokio::spawn(turn_away(stream))),
+                None => drop(tokio::spawn(turn_away(stream, metrics.clone()))),
             },
             // Out of file descriptors, say: those in use come back.
             Err(error) => {
@@ -81,7 +83,8 @@ async fn connection(stream: TcpStream, router: Router, place: Place, watcher: hy
 }
 
 /// Says that there is no room, for those who listen.
-async fn turn_away(mut stream: TcpStream) {
+async fn turn_away(mut stream: TcpStream, metrics: Arc<Metrics>) {
+    metrics.requests.connections_refused.inc();
     let body = Refused::no_connection().body();
     let response = format!(
         "HTTP/1.1 503 Service Unavailable\r\ncontent-type: application/problem+json\r\nretry-after: 1\r\nconnection: close\r\ncontent-length: {}\r\n\r\n{body}",
@@ -97,6 +100,7 @@ struct Places {
     /// By order of arrival.
     taken: Arc<Mutex<BTreeMap<u64, Taken>>>,
     next: Arc<AtomicU64>,
+    metrics: Arc<Metrics>,
 }
 
 struct Taken {
@@ -113,8 +117,8 @@ struct Place {
 }
 
 impl Places {
-    fn new(most: usize) -> Self {
-        Self { most, taken: Arc::default(), next: Arc::default() }
+    fn new(most: usize, metrics: Arc<Metrics>) -> Self {
+        Self { most, taken: Arc::default(), next: Arc::default(), metrics }
     }
 
     fn taken(&self) -> MutexGuard<'_, BTreeMap<u64, Taken>> {
@@ -131,6 +135,7 @@ impl Places {
         let number = self.next.fetch_add(1, Ordering::Relaxed);
         let close = CancellationToken::new();
         taken.insert(number, Taken { busy: 0, close: close.clone() });
+        self.metrics.requests.connections.set(taken.len() as i64);
         drop(taken);
         Some(Place { places: self.clone(), number, close })
     }
@@ -138,7 +143,9 @@ impl Places {
 
 impl Drop for Place {
     fn drop(&mut self) {
-        self.places.taken().remove(&self.number);
+        let mut taken = self.places.taken();
+        taken.remove(&self.number);
+        self.places.metrics.requests.connections.set(taken.len() as i64);
     }
 }
 
@@ -191,7 +198,7 @@ mod tests {
 
     #[test]
     fn the_longest_idle_leaves_and_who_works_stays() {
-        let places = Places::new(2);
+        let places = Places::new(2, Arc::default());
         let (first, second) = (Arc::new(places.enter().unwrap()), Arc::new(places.enter().unwrap()));
         let working = Busy::of(&first);
         let third = places.enter().unwrap();

@@ -1,13 +1,14 @@
 //! `/healthz`, `/readyz` and `/v1/models`
 
 use super::App;
+use crate::service::Health;
 use crate::store::StoreHealth;
 use axum::Json;
 use axum::extract::State;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use uniground_types::problem::Problem;
-use uniground_types::service::{Health, ModelList, Readiness};
+use uniground_types::service::{Health as Alive, ModelList, Readiness};
 
 /// The models this server was started with; none when all parts are built in.
 #[utoipa::path(
@@ -20,25 +21,30 @@ pub async fn models(State(app): State<App>) -> Json<ModelList> {
 }
 
 /// Whether the process is alive.
-#[utoipa::path(get, path = "/healthz", tag = "service", responses((status = 200, body = Health)))]
-pub async fn healthz() -> Json<Health> {
-    Json(Health { status: "ok".into(), version: env!("CARGO_PKG_VERSION").into() })
+#[utoipa::path(get, path = "/healthz", tag = "service", responses((status = 200, body = Alive)))]
+pub async fn healthz() -> Json<Alive> {
+    Json(Alive { status: "ok".into(), version: env!("CARGO_PKG_VERSION").into() })
 }
 
 /// Whether the service can do its work.
+///
+/// A vision-language model that does not answer is told in `vlm` and does not count: built-in parts answer meanwhile.
 #[utoipa::path(get, path = "/readyz", tag = "service", responses((status = 200, body = Readiness), (status = 503, body = Readiness)))]
 pub async fn readyz(State(app): State<App>) -> Response {
-    let StoreHealth { database, blobs, disk } = app.service.store_health().await;
-    let worker = app.lane_ended.is_cancelled().then(|| "stopped".to_owned());
-    let ready = [&database, &blobs, &disk, &worker].iter().all(|trouble| trouble.is_none());
+    let health = app.service.health().await;
+    let ready = health.is_ready();
+    let Health { store: StoreHealth { database, blobs, disk }, dead_lanes, inference, vlm } = health;
     let word = |trouble: Option<String>| trouble.unwrap_or_else(|| "ok".into());
+    let of_server = |condition: Option<Result<(), String>>| condition.map(|condition| word(condition.err()));
     let models = app.service.parse_models();
     let readiness = Readiness {
         ready,
         database: word(database),
         blob_folder: word(blobs),
         disk: word(disk),
-        worker: word(worker),
+        worker: word((!dead_lanes.is_empty()).then(|| format!("stopped: {}", dead_lanes.join(", ")))),
+        inference_server: of_server(inference),
+        vlm: of_server(vlm),
         masks: models.masks,
         encoder: models.encoder,
         models: app.service.loaded_models().to_vec(),

@@ -16,6 +16,7 @@ mod problem;
 mod reports;
 mod scenes;
 mod scopes;
+mod stats;
 
 pub use auth::scopes;
 use auth::{Asking, BearerAuth};
@@ -24,6 +25,7 @@ pub use hosts::AllowedHosts;
 use problem::Refused;
 pub use scopes::Scopes;
 
+use crate::metrics::Metrics;
 use crate::service::Service;
 use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderName, HeaderValue, header};
@@ -53,8 +55,8 @@ pub struct App {
     pub scopes: Arc<Scopes>,
     /// Cancelled when the server stops: open event streams end.
     pub shutdown: CancellationToken,
-    /// Cancelled when a lane of jobs has ended.
-    pub lane_ended: CancellationToken,
+    /// Where requests are counted.
+    pub metrics: Arc<Metrics>,
     /// By which names this server may be called; any, where not set.
     pub allowed_hosts: Option<Arc<AllowedHosts>>,
     /// One for each event stream that may be open.
@@ -79,7 +81,7 @@ pub const MAX_EVENT_STREAMS: usize = 256;
         (name = "batches", description = "Lists of questions, asked in the background"),
         (name = "jobs", description = "Work in the background"),
         (name = "keys", description = "Who may ask, and what was done"),
-        (name = "service", description = "Health")
+        (name = "service", description = "Health and numbers")
     ),
     modifiers(&BearerAuth)
 )]
@@ -126,6 +128,8 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(keys::create, keys::list))
         .routes(routes!(keys::revoke))
         .routes(routes!(keys::audit))
+        .routes(routes!(stats::stats))
+        .routes(routes!(stats::metrics))
         .routes(routes!(health::models))
         .routes(routes!(health::healthz))
         .routes(routes!(health::readyz))
@@ -151,7 +155,7 @@ pub fn router(app: App) -> Router {
         .merge(page)
         .fallback(problem::no_such_route)
         .method_not_allowed_fallback(problem::method_not_allowed)
-        .layer(middleware::from_fn_with_state(app, hosts::check))
+        .layer(middleware::from_fn_with_state(app.clone(), hosts::check))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(problem::name_request))
         .layer(always(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
@@ -170,6 +174,7 @@ pub fn router(app: App) -> Router {
                 .on_failure(()),
         )
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
+        .layer(middleware::from_fn_with_state(app, stats::count))
         .layer(MapRequestLayer::new(without_odd_id))
 }
 

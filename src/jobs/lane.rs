@@ -5,7 +5,7 @@ use super::{JobContext, JobFailure, JobKind, Jobs, Retry};
 use crate::store::{JobRow, JobState, Recovery, StoreError};
 use futures::future::join_all;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::time;
 use tokio_util::sync::CancellationToken;
 use tracing::Instrument;
@@ -26,6 +26,8 @@ impl Jobs {
     /// Works on the jobs of one kind until `shutdown`, as many at once as the kind allows. Jobs running then are put back and go on after
     /// the next start. No kind waits for another. Trouble with the database is logged, and tried again.
     pub async fn run_lane<K: JobKind>(&self, kind: Arc<K>, shutdown: CancellationToken) {
+        self.metrics.jobs.knows(K::NAME);
+        let _at_work = AtWork::begin(self, K::NAME);
         let recovery = Recovery { give_up_after: K::RETRY.interrupted, at_once: TAKEN_UP_AT_ONCE, wait: WAIT_AFTER_INTERRUPTIONS };
         while let Err(error) = self.store.recover_jobs(K::NAME, recovery).await {
             tracing::error!(kind = K::NAME, error = &error as &dyn std::error::Error, "jobs of the last server can not be taken up yet");
@@ -85,6 +87,7 @@ impl Jobs {
             Err(error) => {
                 let detail = format!("what this job was asked to do can not be read: {error}");
                 tracing::error!(%error, "a job's payload can not be read");
+                self.metrics.jobs.finished(K::NAME, JobState::Failed.word(), None);
                 return self.store.finish_job(&id, JobState::Failed, None, Some(("internal", &detail))).await;
             }
         };
@@ -105,6 +108,7 @@ impl Jobs {
         };
         let mut work = tokio::spawn(work.in_current_span());
         tracing::info!(attempt = attempts, "job started");
+        let start = Instant::now();
         let mut saving = time::interval(SAVE_EVERY);
         saving.set_missed_tick_behavior(time::MissedTickBehavior::Delay);
         let result = loop {
@@ -135,9 +139,22 @@ impl Jobs {
                 End::Failed { code: "internal".into(), detail: detail.into() }
             }
         };
+        // Whoever sees the job's end sees it counted.
+        self.count(K::NAME, &end, start.elapsed());
         let ended = self.record(&id, &end, shutdown).await;
         self.running().remove(&id);
         ended
+    }
+
+    fn count(&self, kind: &'static str, end: &End, took: Duration) {
+        let state = match end {
+            End::Done(_) => JobState::Succeeded,
+            End::Failed { .. } => JobState::Failed,
+            End::Cancelled => JobState::Cancelled,
+            End::Again(_) => return self.metrics.jobs.retried(kind),
+            End::PutBack => return,
+        };
+        self.metrics.jobs.finished(kind, state.word(), Some(took));
     }
 
     /// Writes down a job's end: until the store takes it, or the server stops. A job whose end nobody knows would run for ever.
@@ -167,6 +184,25 @@ impl Jobs {
             }
             End::Failed { code, detail } => self.store.finish_job(id, JobState::Failed, None, Some((code, detail))).await,
         }
+    }
+}
+
+/// A lane at work; however it ends, whoever asks learns of it.
+struct AtWork<'a> {
+    jobs: &'a Jobs,
+    kind: &'static str,
+}
+
+impl<'a> AtWork<'a> {
+    fn begin(jobs: &'a Jobs, kind: &'static str) -> Self {
+        jobs.note_lane(kind, true);
+        Self { jobs, kind }
+    }
+}
+
+impl Drop for AtWork<'_> {
+    fn drop(&mut self) {
+        self.jobs.note_lane(self.kind, false);
     }
 }
 
@@ -417,5 +453,27 @@ mod tests {
         }
         assert!(matches!(jobs.submit::<Obedient>("s", &String::new(), None).await, Err(JobsError::QueueFull { queued: 10 })));
         jobs.submit::<Slow>("s", &(), None).await.unwrap();
+    }
+
+    /// Its task is taken away, as a panic would.
+    #[tokio::test]
+    async fn a_lane_that_ends_is_known_by_its_kind() {
+        let folder = tempfile::tempdir().unwrap();
+        let (jobs, shutdown) = (queue(&folder).await, CancellationToken::new());
+        let workers = [lane(&jobs, Slow, &shutdown), lane(&jobs, Obedient::default(), &shutdown)];
+        let id = submit(&jobs, "this").await;
+        until(&jobs, &id, |j| j.state == JobState::Succeeded).await;
+        assert!(jobs.lanes().into_iter().all(|(_, up)| up) && jobs.lanes().len() == 2);
+        workers[0].abort();
+        while jobs.lanes()["slow"] {
+            time::sleep(Duration::from_millis(5)).await;
+        }
+        assert!(jobs.lanes()["obedient"]);
+        let told = jobs.metrics().text();
+        assert!(
+            told.contains("uniground_lane_up{kind=\"slow\"} 0") && told.contains("uniground_lane_up{kind=\"obedient\"} 1"),
+            "{told}"
+        );
+        assert!(told.contains("uniground_jobs_finished_total{kind=\"obedient\",state=\"succeeded\"} 1"), "{told}");
     }
 }

@@ -1,9 +1,10 @@
 //! Submitting, watching and cancelling jobs.
 
 use super::{Job, JobKind, JobList, job_of};
-use crate::store::{JobFilter, JobRow, NewJob, JobState, Store, StoreError};
+use crate::metrics::Metrics;
+use crate::store::{JobFilter, JobRow, JobState, NewJob, Store, StoreError};
 use jiff::Timestamp;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 use tokio::sync::Notify;
@@ -53,6 +54,9 @@ pub struct Jobs {
     running: Arc<Mutex<HashMap<String, Running>>>,
     /// Jobs that are followed, and when they were looked at.
     looked_at: Arc<Recent<(Instant, Job)>>,
+    /// By kind: whether its lane is at work.
+    lanes: Arc<Mutex<BTreeMap<&'static str, bool>>>,
+    pub(super) metrics: Arc<Metrics>,
     max_queued: u32,
 }
 
@@ -63,7 +67,39 @@ impl Jobs {
     /// At most `max_queued` jobs of a kind wait.
     #[must_use]
     pub fn new(store: Store, max_queued: u32) -> Self {
-        Self { store, bells: Arc::default(), running: Arc::default(), looked_at: Arc::new(Recent::new(FOLLOWED)), max_queued }
+        Self {
+            store,
+            bells: Arc::default(),
+            running: Arc::default(),
+            looked_at: Arc::new(Recent::new(FOLLOWED)),
+            lanes: Arc::default(),
+            metrics: Arc::default(),
+            max_queued,
+        }
+    }
+
+    /// The same, counted here.
+    #[must_use]
+    pub fn counted_by(self, metrics: Arc<Metrics>) -> Self {
+        Self { metrics, ..self }
+    }
+
+    /// Where jobs are counted.
+    #[must_use]
+    pub fn metrics(&self) -> &Arc<Metrics> {
+        &self.metrics
+    }
+
+    /// The kinds that have a lane, and whether it is still at work.
+    #[must_use]
+    pub fn lanes(&self) -> BTreeMap<&'static str, bool> {
+        self.lanes.lock().unwrap_or_else(PoisonError::into_inner).clone()
+    }
+
+    /// Notes whether a lane is at work.
+    pub(super) fn note_lane(&self, kind: &'static str, up: bool) {
+        self.lanes.lock().unwrap_or_else(PoisonError::into_inner).insert(kind, up);
+        self.metrics.jobs.lane(kind, up);
     }
 
     /// Queues a job on a subject: the id of what it works on; `key_id` is who asked for it.
@@ -100,8 +136,10 @@ impl Jobs {
     /// A job that somebody recorded, as callers see it; its lane is told if it waits.
     #[allow(clippy::must_use_candidate)] // Its lane is told.
     pub fn recorded<K: JobKind>(&self, row: JobRow) -> Job {
-        if row.state == JobState::Queued {
-            self.bell(K::NAME).notify_one();
+        match row.state {
+            JobState::Queued => self.bell(K::NAME).notify_one(),
+            state if state.is_final() => self.metrics.jobs.finished(K::NAME, state.word(), None),
+            _ => {}
         }
         job_of(row, Timestamp::now())
     }
@@ -160,13 +198,18 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::NotFound`].
     pub async fn cancel(&self, id: &str) -> Result<Job, JobsError> {
-        if !self.store.cancel_queued_job(id).await? {
+        let was_queued = self.store.cancel_queued_job(id).await?;
+        if !was_queued {
             self.store.request_cancel(id).await?;
             if let Some(running) = self.running().get(id) {
                 running.cancel.cancel();
             }
         }
-        self.get(id).await
+        let job = self.get(id).await?;
+        if was_queued && let Some(kind) = self.lanes().into_keys().find(|kind| *kind == job.kind) {
+            self.metrics.jobs.finished(kind, job.state.word(), None);
+        }
+        Ok(job)
     }
 
     /// Rings when a job of this kind was queued.

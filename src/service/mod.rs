@@ -6,17 +6,21 @@
 mod answers;
 mod batches;
 mod doctor;
+mod health;
 mod housekeeping;
 mod instances;
 mod keys;
+mod lately;
 mod names;
 mod parses;
 mod scenes;
+mod stats;
 mod vlm;
 
 pub use answers::{LineFormat, usage};
 pub use batches::{BatchJob, Body, Results, Submission};
 pub use doctor::{Finding, Trouble};
+pub use health::Health;
 pub use keys::{Allowance, Caller, Denied, Done, Keyring};
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};
@@ -24,12 +28,16 @@ pub use scenes::NewScene;
 pub use vlm::{Vlm, VlmSettings};
 
 use crate::error::Error;
+use crate::inference::Probe;
 use crate::jobs::{JobFailure, Jobs};
-use crate::store::{Store, StoreHealth};
+use crate::metrics::Metrics;
+use crate::store::Store;
+use lately::Lately;
 use parses::ParseCache;
 use rayon::ThreadPool;
+use stats::Numbers;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
@@ -72,7 +80,11 @@ pub struct Service {
     models: Models,
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
     content_references: Arc<Mutex<()>>,
-    health: Arc<Mutex<Option<(Instant, StoreHealth)>>>,
+    /// Where an inference server runs the networks.
+    inference: Option<Arc<Probe>>,
+    health: Lately<Health>,
+    numbers: Numbers,
+    metrics: Arc<Metrics>,
 }
 
 /// Uploads received at once.
@@ -81,10 +93,11 @@ const MAX_UPLOADS: usize = 16;
 const PATIENCE: Duration = Duration::from_secs(2);
 
 impl Service {
-    /// `parsing` is the pool parses compute in.
+    /// `parsing` is the pool parses compute in. The service counts where its jobs count.
     #[must_use]
     pub fn new(store: Store, jobs: Jobs, keys: Keyring, limits: Limits, vlm: Option<Vlm>, models: Models, parsing: ThreadPool) -> Self {
         Self {
+            metrics: jobs.metrics().clone(),
             store,
             jobs,
             keys,
@@ -97,7 +110,9 @@ impl Service {
             vlm: vlm.map(Arc::new),
             models,
             content_references: Arc::default(),
-            health: Arc::default(),
+            inference: None,
+            health: Lately::default(),
+            numbers: Numbers::default(),
         }
     }
 
@@ -111,19 +126,6 @@ impl Service {
     #[must_use]
     pub fn vlm_model(&self) -> Option<&str> {
         self.vlm.as_ref().map(|vlm| vlm.name())
-    }
-
-    /// Whether what is stored can be read and written. Looked at once a second at most, however many ask.
-    pub async fn store_health(&self) -> StoreHealth {
-        let mut last = self.health.lock().await;
-        match &*last {
-            Some((at, health)) if at.elapsed() < Duration::from_secs(1) => health.clone(),
-            _ => {
-                let health = self.store.health().await;
-                *last = Some((Instant::now(), health.clone()));
-                health
-            }
-        }
     }
 
     /// Whether there is room for something more of a size, and some for the rest: what runs goes on, questions are answered and kept.

@@ -8,6 +8,7 @@ mod batches;
 mod blobs;
 mod contents;
 mod data_folder;
+mod figures;
 mod health;
 mod ids;
 mod jobs;
@@ -21,7 +22,8 @@ mod writer;
 
 pub use answers::{AnswerFilter, AnswerRow, NewAnswer};
 pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, Submitted};
-pub use blobs::{Blobs, Damage, Look, Scratch};
+pub use blobs::{Blobs, Damage, Look, Measured, Scratch};
+pub use figures::{Figures, JobFigures};
 pub use health::StoreHealth;
 pub use jobs::{JobFilter, JobRow, JobState, NewJob, Recovery};
 pub use keys::KeyRow;

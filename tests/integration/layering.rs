@@ -21,7 +21,7 @@ const PACKAGES: [(&str, Floors); 3] = [
             &["error"],
             &["jobs"],
             &["store"],
-            &["chat", "inference", "words"],
+            &["chat", "inference", "metrics", "words"],
         ],
     ),
     (
@@ -38,7 +38,7 @@ const PACKAGES: [(&str, Floors); 3] = [
     (
         "crates/uniground-types/src",
         &[
-            &["scenes", "instances", "service", "transcript", "batch", "keys"],
+            &["scenes", "instances", "service", "stats", "transcript", "batch", "keys"],
             &["answer", "question", "settings", "job", "models"],
             &["scene", "problem"],
             &["geometry"],

@@ -31,5 +31,6 @@ mod shared_scenes;
 mod snapshots;
 mod stage_one;
 mod streaming;
+mod telemetry;
 mod upgrades;
 mod vlm;

@@ -30,6 +30,7 @@ use uniground_types::problem::{FieldError, Problem};
 use uniground_types::question::{GroundRequest, ShortlistRequest};
 use uniground_types::scenes::{Created, Scene, SceneList, SceneReport};
 use uniground_types::service::ModelList;
+use uniground_types::stats::Stats;
 use uniground_types::transcript::{AnswerPrompt, AnswerReply};
 
 /// Chooses the cryptography of TLS for this process: ring, unless something else was chosen before. `reqwest` brings none of its own and
@@ -274,6 +275,14 @@ impl Client {
     /// [`ClientError`].
     pub async fn models(&self) -> Result<ModelList, ClientError> {
         json(self.request(Method::GET, "v1/models")).await
+    }
+
+    /// What the server holds, does and may spend, in numbers.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn stats(&self) -> Result<Stats, ClientError> {
+        json(self.request(Method::GET, "v1/stats")).await
     }
 
     /// Has the server's model name the objects of a scene.

@@ -1,5 +1,6 @@
 //! Values used lately, kept in memory within a bound.
 
+use std::sync::atomic::{AtomicU64, Ordering::Relaxed};
 use std::sync::{Mutex, PoisonError};
 
 /// The most recently used values, as many as their weights allow, and always the latest. What is kept never changes, so nothing is
@@ -8,23 +9,32 @@ pub struct Recent<V> {
     /// Latest last: key, value, weight.
     entries: Mutex<Vec<(String, V, usize)>>,
     capacity: usize,
+    hits: AtomicU64,
+    misses: AtomicU64,
 }
 
 impl<V: Clone> Recent<V> {
     /// Keeps values whose weights add up to at most `capacity`.
     #[must_use]
     pub fn new(capacity: usize) -> Self {
-        Self { entries: Mutex::default(), capacity }
+        Self { entries: Mutex::default(), capacity, hits: AtomicU64::new(0), misses: AtomicU64::new(0) }
     }
 
     /// The value under a key, which is now the latest.
     pub fn get(&self, key: &str) -> Option<V> {
         let mut entries = self.entries.lock().unwrap_or_else(PoisonError::into_inner);
-        let at = entries.iter().position(|(known, ..)| known == key)?;
+        let at = entries.iter().position(|(known, ..)| known == key);
+        if at.is_some() { &self.hits } else { &self.misses }.fetch_add(1, Relaxed);
+        let at = at?;
         let entry = entries.remove(at);
         let value = entry.1.clone();
         entries.push(entry);
         Some(value)
+    }
+
+    /// How often a value was found, and how often not.
+    pub fn looks(&self) -> (u64, u64) {
+        (self.hits.load(Relaxed), self.misses.load(Relaxed))
     }
 
     /// Lets go of a value.
@@ -58,6 +68,7 @@ mod tests {
         assert!(cache.get("0").is_some());
         cache.put("new".into(), 64, 1);
         assert!(cache.get("0").is_some() && cache.get("new").is_some() && cache.get("1").is_none());
+        assert_eq!(cache.looks(), (3, 1));
     }
 
     #[test]

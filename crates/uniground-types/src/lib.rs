@@ -19,4 +19,5 @@ pub mod scene;
 pub mod scenes;
 pub mod service;
 pub mod settings;
+pub mod stats;
 pub mod transcript;

@@ -17,7 +17,7 @@ pub struct Health {
 #[derive(Debug, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Readiness {
-    /// Whether database, folder, disk and worker are all `ok`; the HTTP status is 503 otherwise.
+    /// Whether database, folder, disk, workers and inference server are all `ok`; the HTTP status is 503 otherwise.
     pub ready: bool,
     /// `ok`, or why the database can not be written.
     pub database: String,
@@ -26,8 +26,15 @@ pub struct Readiness {
     /// `ok`, or how little room is left.
     #[serde(default)]
     pub disk: String,
-    /// `ok`, or `stopped` when background jobs are no longer worked on.
+    /// `ok`, or `stopped` with the kinds of jobs that are no longer worked on.
     pub worker: String,
+    /// `ok`, or why the inference server does not answer; absent where networks run in the server itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub inference_server: Option<String>,
+    /// `ok`, or since when the vision-language model has answered no call; absent where none is configured. It does not count for `ready`:
+    /// built-in parts answer meanwhile.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub vlm: Option<String>,
     /// Where masks come from.
     pub masks: String,
     /// How instances and words are compared.

@@ -13,12 +13,13 @@ use super::{Caller, Service, Vlm};
 use crate::error::Error;
 use crate::store::NewAnswer;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::time::timeout;
 use uniground_core::grounding::pipeline::{self, Answered, Ask, Review, Shortlist, WithoutModel};
 use uniground_core::grounding::query::{BuiltinParser, QueryParser, VlmParser};
+use uniground_core::grounding::reasoner::builtin;
 use uniground_core::grounding::vlm::Options;
-use uniground_core::grounding::{Grounding, Question, ShortlistScoring};
+use uniground_core::grounding::{Grounding, Question, ShortlistScoring, Status};
 use uniground_core::models::chat::{Budget, CallRecord, OverBudget};
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
 use uniground_types::question::{DEFAULT_MIN_CONFIDENCE, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
@@ -30,6 +31,8 @@ pub(super) struct Asker {
     pub answer_id: String,
     /// Pays beside the question's own budget and the day's.
     pub pays: Option<Budget>,
+    /// It is an item of a batch.
+    pub is_batch: bool,
 }
 
 impl Service {
@@ -38,12 +41,27 @@ impl Service {
     /// # Errors
     /// [`Error`]: unknown or unparsed scene, a question that is none, no model or no money where a model was demanded, overload, time-out.
     pub async fn ground(&self, scene_id: &str, request: GroundRequest, caller: Caller) -> Result<Answer, Error> {
-        let asker = Asker { caller, answer_id: self.store.new_id(), pays: None };
+        let asker = Asker { caller, answer_id: self.store.new_id(), pays: None, is_batch: false };
         self.ground_for(scene_id, request, asker).await
     }
 
     /// The same for somebody who has chosen the answer's id, or pays.
     pub(super) async fn ground_for(&self, scene_id: &str, request: GroundRequest, asker: Asker) -> Result<Answer, Error> {
+        let (start, is_batch) = (Instant::now(), asker.is_batch);
+        let answered = self.ground_uncounted(scene_id, request, asker).await;
+        match &answered {
+            Ok(answer) => {
+                let reasoner = if answer.models.reasoner == builtin::NAME { "builtin" } else { "vlm" };
+                self.metrics.questions.answered(word(answer.status), reasoner, answer.degraded, start.elapsed());
+            }
+            // A batch steps aside for people and asks again at once.
+            Err(Error::Overloaded) if is_batch => {}
+            Err(error) => self.metrics.questions.failed(error.code()),
+        }
+        answered
+    }
+
+    async fn ground_uncounted(&self, scene_id: &str, request: GroundRequest, asker: Asker) -> Result<Answer, Error> {
         request.check()?;
         let (scene, parse_id) = self.ready_scene(scene_id).await?;
         let reviewer = self.reviewer(&request, &asker.caller)?;
@@ -64,6 +82,11 @@ impl Service {
             None => answered.await,
         };
         let answered = answered?;
+        for call in &answered.calls {
+            if matches!(call.purpose, "out_of_set" | "unreadable" | "inconsistent") {
+                self.metrics.vlm.malformed(call.purpose);
+            }
+        }
         let version = u32::try_from(scene.parse_version).unwrap_or(0);
         let mut answer = self.told(&answered, asker.answer_id, scene.id, version, source.parse.masks.clone());
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
@@ -227,6 +250,16 @@ impl Service {
             usage: usage(&calls),
             timings_ms,
         }
+    }
+}
+
+/// A status as it is written everywhere.
+fn word(status: Status) -> &'static str {
+    match status {
+        Status::Grounded => "grounded",
+        Status::Uncertain => "uncertain",
+        Status::Ambiguous => "ambiguous",
+        Status::NoMatch => "no_match",
     }
 }
 

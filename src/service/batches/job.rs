@@ -113,7 +113,7 @@ impl Service {
                 // Who is to stop is told above.
                 let _ = progress.report("asking", (done as f32 + closed.len() as f32) / open as f32);
                 if closed.len() >= WRITE_AFTER || written.elapsed() >= WRITE_EVERY {
-                    self.store.close_batch_items(&batch.id, &closed).await?;
+                    self.close_items(&batch.id, &closed).await?;
                     done += closed.len() as u32;
                     (closed, written) = (Vec::new(), Instant::now());
                     if self.store.batch(&batch.id).await?.is_none_or(|batch| batch.state != "running") {
@@ -124,7 +124,7 @@ impl Service {
                     asking.store(false, Relaxed);
                 }
             }
-            self.store.close_batch_items(&batch.id, &closed).await?;
+            self.close_items(&batch.id, &closed).await?;
             done += closed.len() as u32;
             if let Some(error) = stop {
                 return Err(error);
@@ -134,6 +134,12 @@ impl Service {
                 return Ok(told(before + done, &batch, "its money is spent"));
             }
         }
+    }
+
+    async fn close_items(&self, batch_id: &str, closed: &[ClosedItem]) -> Result<(), Error> {
+        self.store.close_batch_items(batch_id, closed).await?;
+        closed.iter().for_each(|item| self.metrics.questions.item(&item.status));
+        Ok(())
     }
 
     /// Asks one question, or finds the answer it got before a server was killed. Only what is wrong with the store itself is an error.
@@ -157,7 +163,7 @@ impl Service {
         };
         let (mut tries, mut wait) = (0, FIRST_WAIT);
         loop {
-            let asker = Asker { caller: caller.clone(), answer_id: answer_id.clone(), pays: budget.cloned() };
+            let asker = Asker { caller: caller.clone(), answer_id: answer_id.clone(), pays: budget.cloned(), is_batch: true };
             match self.ground_for(&scene_id, request.clone(), asker).await {
                 Ok(Answer { stored: false, .. }) => return Err(Error::AnswerNotKept),
                 Ok(answer) => {

@@ -8,7 +8,7 @@ use crate::store::{NewParse, Scratch};
 use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
 use std::fs;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::task::spawn_blocking;
 use uniground_core::geometry::up_axis::UpAxis;
 use uniground_core::models::neural::Models;
@@ -68,7 +68,7 @@ impl Service {
         // Every stage works on what the import made of the content.
         let origin = serde_json::to_string(&(STAGE_1_VERSION, &scene.content_hash, &settings.import))?;
         let (blobs, pool, models, job_settings) = (self.store.blobs.clone(), self.parsing.clone(), self.models.clone(), settings.clone());
-        let (span, new_id) = (tracing::Span::current(), self.store.new_id());
+        let (span, new_id, start) = (tracing::Span::current(), self.store.new_id(), Instant::now());
         let work = move || {
             let _entered = span.enter();
             fs::create_dir_all(&kept_in)?;
@@ -106,6 +106,10 @@ impl Service {
         };
         self.store.set_scene_parse(&scene_id, &parse_id, &job_id).await?;
         let report = &parsed.report;
+        let computed = report.stages.iter().filter(|stage| !stage.reused);
+        self.metrics
+            .questions
+            .parsed(start.elapsed(), computed.map(|stage| (stage.stage.as_str(), stage.seconds)));
         Ok(format!("{} instances from {} points and {} frames", report.instances, report.points, report.frames_used))
     }
 }

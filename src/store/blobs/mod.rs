@@ -11,8 +11,10 @@
 //! that can be seen is complete, and a row that can be seen has its blob, also after the power has failed.
 
 mod checksums;
+mod sizes;
 
 pub use checksums::{Damage, Look};
+pub use sizes::Measured;
 
 use super::data_folder::sync_folder;
 use camino::{Utf8Path, Utf8PathBuf};

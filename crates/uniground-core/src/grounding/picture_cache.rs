@@ -14,6 +14,15 @@ pub struct PictureCache {
 /// Bytes of pictures that stay in memory, of each kind.
 const PICTURE_BYTES: usize = 64 << 20;
 
+impl PictureCache {
+    /// How often a picture was found, and how often not.
+    #[must_use]
+    pub fn looks(&self) -> (u64, u64) {
+        let ((hits, misses), (more_hits, more_misses)) = (self.globals.looks(), self.collages.looks());
+        (hits + more_hits, misses + more_misses)
+    }
+}
+
 impl Default for PictureCache {
     fn default() -> Self {
         Self { globals: Recent::new(PICTURE_BYTES), collages: Recent::new(PICTURE_BYTES) }

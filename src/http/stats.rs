@@ -1,0 +1,51 @@
+//! `/metrics` and `/v1/stats`, and the layer that counts requests.
+
+use super::problem::Refused;
+use super::{App, MAX_EVENT_STREAMS};
+use crate::metrics::MEDIA_TYPE;
+use axum::Json;
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::header;
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use uniground_types::problem::Problem;
+use uniground_types::stats::Stats;
+
+/// What this server holds, does and may spend, in numbers.
+#[utoipa::path(
+    get, path = "/v1/stats", tag = "service",
+    responses(
+        (status = 200, body = Stats),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["read"]), ())
+)]
+pub async fn stats(State(app): State<App>) -> Result<Json<Stats>, Refused> {
+    Ok(Json(app.service.stats().await?))
+}
+
+/// The same and more for Prometheus, in the `OpenMetrics` text format.
+#[utoipa::path(
+    get, path = "/metrics", tag = "service",
+    responses(
+        (status = 200, body = String, content_type = "application/openmetrics-text"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["read"]), ())
+)]
+pub async fn metrics(State(app): State<App>) -> Response {
+    let streams = MAX_EVENT_STREAMS.saturating_sub(app.event_streams.available_permits());
+    app.metrics.requests.event_streams.set(streams as i64);
+    ([(header::CONTENT_TYPE, MEDIA_TYPE)], app.service.scrape().await).into_response()
+}
+
+/// Counts a request, however it ends.
+pub async fn count(State(app): State<App>, request: Request, next: Next) -> Response {
+    let route = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
+    let underway = app.metrics.requests.begin(request.method().as_str(), route);
+    let response = next.run(request).await;
+    underway.answered(response.status().as_u16());
+    response
+}

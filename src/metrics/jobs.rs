@@ -1,0 +1,77 @@
+//! Jobs and their lanes.
+
+use super::{FloatGauge, Histograms, Labels, long_seconds};
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::registry::{Registry, Unit};
+use std::time::Duration;
+
+/// The queues, by kind of job.
+pub struct Jobs {
+    queued: Family<Labels<1>, Gauge>,
+    running: Family<Labels<1>, Gauge>,
+    oldest: Family<Labels<1>, FloatGauge>,
+    finished: Family<Labels<2>, Counter>,
+    retried: Family<Labels<1>, Counter>,
+    duration: Histograms<Labels<1>>,
+    lanes: Family<Labels<1>, Gauge>,
+}
+
+impl Jobs {
+    pub(super) fn new(registry: &mut Registry) -> Self {
+        let jobs = Self {
+            queued: Family::default(),
+            running: Family::default(),
+            oldest: Family::default(),
+            finished: Family::default(),
+            retried: Family::default(),
+            duration: Histograms::new_with_constructor(long_seconds),
+            lanes: Family::default(),
+        };
+        registry.register("jobs_queued", "Jobs that wait", jobs.queued.clone());
+        registry.register("jobs_running", "Jobs in a worker's hands", jobs.running.clone());
+        let help = "How long ago the oldest job that waits was asked for; 0 where none waits";
+        registry.register_with_unit("jobs_oldest_queued_age", help, Unit::Seconds, jobs.oldest.clone());
+        registry.register("jobs_finished", "Jobs that ended, by how", jobs.finished.clone());
+        registry.register("jobs_retried", "Jobs put back because what failed may pass", jobs.retried.clone());
+        let help = "One run of a job, from its start to its end";
+        registry.register_with_unit("job_duration", help, Unit::Seconds, jobs.duration.clone());
+        registry.register("lane_up", "Whether jobs of this kind are worked on", jobs.lanes.clone());
+        jobs
+    }
+
+    /// There are jobs of this kind: what has not happened yet is told as 0.
+    pub fn knows(&self, kind: &'static str) {
+        for state in ["succeeded", "failed", "cancelled"] {
+            self.finished.get_or_create(&[("kind", kind), ("state", state)]).inc_by(0);
+        }
+        self.retried.get_or_create(&[("kind", kind)]).inc_by(0);
+        self.waiting(kind, 0, 0, 0.0);
+    }
+
+    /// A job ended; `took` where it was run for that.
+    pub fn finished(&self, kind: &'static str, state: &'static str, took: Option<Duration>) {
+        self.finished.get_or_create(&[("kind", kind), ("state", state)]).inc();
+        if let Some(took) = took {
+            self.duration.get_or_create(&[("kind", kind)]).observe(took.as_secs_f64());
+        }
+    }
+
+    /// A job is tried again.
+    pub fn retried(&self, kind: &'static str) {
+        self.retried.get_or_create(&[("kind", kind)]).inc();
+    }
+
+    /// How many wait and run, and how long the oldest has waited.
+    pub fn waiting(&self, kind: &'static str, queued: u32, running: u32, oldest_s: f64) {
+        self.queued.get_or_create(&[("kind", kind)]).set(queued.into());
+        self.running.get_or_create(&[("kind", kind)]).set(running.into());
+        self.oldest.get_or_create(&[("kind", kind)]).set(oldest_s);
+    }
+
+    /// Whether a lane is at work.
+    pub fn lane(&self, kind: &'static str, up: bool) {
+        self.lanes.get_or_create(&[("kind", kind)]).set(up.into());
+    }
+}

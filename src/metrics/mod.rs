@@ -1,0 +1,121 @@
+//! What the service counts of itself, for `GET /metrics`.
+//!
+//! Whoever does the work counts it: requests in `http`, jobs in their lanes, questions, models and what is stored in `service`. One value is
+//! made at the start and handed down; there is no global state, so two servers in one process count apart. Labels have few values by
+//! construction: templates of routes, methods, statuses, kinds and codes; never an id, a name or a question.
+
+mod jobs;
+mod process;
+mod questions;
+mod requests;
+mod stored;
+mod vlm;
+
+pub use jobs::Jobs;
+pub use process::Process;
+pub use questions::Questions;
+pub use requests::{Requests, Underway};
+pub use stored::Stored;
+pub use vlm::Vlm;
+
+use prometheus_client::encoding::text;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::metrics::info::Info;
+use prometheus_client::registry::Registry;
+use std::sync::atomic::AtomicU64;
+
+/// What [`Metrics::text`] is.
+pub const MEDIA_TYPE: &str = "application/openmetrics-text; version=1.0.0; charset=utf-8";
+
+/// Labels and their values, all known when the program is written.
+type Labels<const N: usize> = [(&'static str, &'static str); N];
+/// One histogram for each set of labels.
+type Histograms<L> = Family<L, Histogram, fn() -> Histogram>;
+/// A gauge of seconds, bytes that are shares, or dollars.
+type FloatGauge = Gauge<f64, AtomicU64>;
+
+/// Everything that is counted, by who counts it.
+pub struct Metrics {
+    pub requests: Requests,
+    pub questions: Questions,
+    pub jobs: Jobs,
+    pub vlm: Vlm,
+    pub stored: Stored,
+    pub process: Process,
+    registry: Registry,
+}
+
+impl Default for Metrics {
+    fn default() -> Self {
+        let mut registry = Registry::default();
+        let process = Process::new(&mut registry);
+        let own = registry.sub_registry_with_prefix("uniground");
+        own.register("build", "The running program", Info::new([("version", env!("CARGO_PKG_VERSION"))]));
+        Self {
+            requests: Requests::new(own),
+            questions: Questions::new(own),
+            jobs: Jobs::new(own),
+            vlm: Vlm::new(own),
+            stored: Stored::new(own),
+            process,
+            registry,
+        }
+    }
+}
+
+impl Metrics {
+    /// All of it in the `OpenMetrics` text format, which Prometheus reads.
+    #[must_use]
+    pub fn text(&self) -> String {
+        self.process.look();
+        let mut text = String::new();
+        // Writing to a string does not fail.
+        let _ = text::encode(&mut text, &self.registry);
+        text
+    }
+}
+
+/// From a millisecond to five minutes: requests and questions.
+fn short_seconds() -> Histogram {
+    Histogram::new([0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 300.0])
+}
+
+/// From a tenth of a second to six hours: parses and jobs.
+fn long_seconds() -> Histogram {
+    Histogram::new([0.1, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0, 120.0, 300.0, 600.0, 1800.0, 3600.0, 21600.0])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::time::Duration;
+
+    #[test]
+    fn what_was_counted_is_told() {
+        let metrics = Metrics::default();
+        metrics.jobs.knows("parse");
+        metrics.jobs.finished("parse", "succeeded", Some(Duration::from_secs(3)));
+        metrics.questions.answered("grounded", "builtin", false, Duration::from_millis(4));
+        let told = metrics.text();
+        for line in [
+            "uniground_jobs_finished_total{kind=\"parse\",state=\"succeeded\"} 1",
+            "uniground_jobs_finished_total{kind=\"parse\",state=\"failed\"} 0",
+            "uniground_job_duration_seconds_bucket{le=\"5.0\",kind=\"parse\"} 1",
+            "uniground_questions_total{status=\"grounded\",reasoner=\"builtin\"} 1",
+            "# TYPE uniground_build info",
+            "# EOF",
+        ] {
+            assert!(told.lines().any(|told| told == line), "{line} is not in\n{told}");
+        }
+        assert!(told.contains("process_start_time_seconds 1"), "{told}");
+    }
+
+    #[test]
+    fn servers_in_one_process_count_apart() {
+        let (one, other) = (Metrics::default(), Metrics::default());
+        one.questions.failed("overloaded");
+        assert!(one.text().contains("code=\"overloaded\"") && !other.text().contains("code=\"overloaded\""));
+    }
+}

@@ -1,0 +1,45 @@
+//! The process itself, under the names every exporter uses for that.
+
+use super::FloatGauge;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::registry::{Registry, Unit};
+use std::fs;
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+/// Since when the process runs, and what it holds.
+pub struct Process {
+    resident: Gauge,
+    started: Instant,
+    started_at: SystemTime,
+}
+
+impl Process {
+    pub(super) fn new(registry: &mut Registry) -> Self {
+        let process = Self { resident: Gauge::default(), started: Instant::now(), started_at: SystemTime::now() };
+        let began = FloatGauge::default();
+        began.set(process.started_at.duration_since(UNIX_EPOCH).unwrap_or_default().as_secs_f64());
+        registry.register_with_unit("process_start_time", "When the server was started, seconds since 1970", Unit::Seconds, began);
+        registry.register_with_unit("process_resident_memory", "Memory that is not swapped out", Unit::Bytes, process.resident.clone());
+        process
+    }
+
+    /// When the server was started.
+    #[must_use]
+    pub fn started_at(&self) -> SystemTime {
+        self.started_at
+    }
+
+    /// How long ago that is; the system's clock may be set meanwhile.
+    #[must_use]
+    pub fn uptime_s(&self) -> u64 {
+        self.started.elapsed().as_secs()
+    }
+
+    /// Brings the gauges up to date. Where the system does not tell, they stay 0.
+    pub(super) fn look(&self) {
+        let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+        let kilobytes = resident.and_then(|rest| rest.split_whitespace().next()?.parse::<i64>().ok());
+        self.resident.set(kilobytes.unwrap_or(0) * 1024);
+    }
+}

@@ -1,0 +1,112 @@
+//! Questions, those of batches, what they found in memory, and parses.
+
+use super::{Histograms, Labels, long_seconds, short_seconds};
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::registry::{Registry, Unit};
+use std::sync::atomic::Ordering::Relaxed;
+use std::time::Duration;
+
+/// Stages of a parse as their reports name them; what a report of tomorrow adds counts together until it is named here.
+const STAGES: [&str; 11] = [
+    "import",
+    "superpoints",
+    "planes",
+    "masks_and_lifting",
+    "merging",
+    "part_merging",
+    "hierarchy",
+    "refinement",
+    "views",
+    "instances",
+    "appearance",
+];
+/// What may come of a question.
+const STATUSES: [&str; 5] = ["grounded", "uncertain", "ambiguous", "no_match", "failed"];
+
+/// The two stages of the method at work.
+pub struct Questions {
+    answered: Family<Labels<2>, Counter>,
+    failures: Family<Labels<1>, Counter>,
+    degraded: Counter,
+    duration: Histograms<Labels<1>>,
+    items: Family<Labels<1>, Counter>,
+    caches: Family<Labels<2>, Counter>,
+    stages: Histograms<Labels<1>>,
+    parses: Histogram,
+    pub computing: Gauge,
+    pub computing_limit: Gauge,
+    pub uploads: Gauge,
+}
+
+impl Questions {
+    pub(super) fn new(registry: &mut Registry) -> Self {
+        let questions = Self {
+            answered: Family::default(),
+            failures: Family::default(),
+            degraded: Counter::default(),
+            duration: Histograms::new_with_constructor(short_seconds),
+            items: Family::default(),
+            caches: Family::default(),
+            stages: Histograms::new_with_constructor(long_seconds),
+            parses: long_seconds(),
+            computing: Gauge::default(),
+            computing_limit: Gauge::default(),
+            uploads: Gauge::default(),
+        };
+        let help = "Questions by what came of them and by who decided; those of batches too";
+        registry.register("questions", help, questions.answered.clone());
+        registry.register("question_failures", "Questions without an answer, by the code of the problem", questions.failures.clone());
+        let help = "Answers in which a built-in part took the place of a model that could not be used";
+        registry.register("questions_degraded", help, questions.degraded.clone());
+        let help = "From a question's arrival to its answer, kept";
+        registry.register_with_unit("question_duration", help, Unit::Seconds, questions.duration.clone());
+        registry.register("batch_items", "Questions of batches by what came of them", questions.items.clone());
+        registry.register("cache_requests", "Looks into what is kept in memory", questions.caches.clone());
+        let help = "Stages of parses that were computed, not taken from an earlier attempt";
+        registry.register_with_unit("parse_stage_duration", help, Unit::Seconds, questions.stages.clone());
+        let help = "Parses from the unpacked scan to the kept result";
+        registry.register_with_unit("parse_duration", help, Unit::Seconds, questions.parses.clone());
+        registry.register("questions_computing", "Places at work on questions that are taken", questions.computing.clone());
+        registry.register("questions_computing_limit", "Places at work on questions", questions.computing_limit.clone());
+        registry.register("uploads_in_flight", "Uploads being received", questions.uploads.clone());
+        questions
+    }
+
+    /// A question got an answer. `status` and `reasoner` are `grounded` and the like, `builtin` or `vlm`.
+    pub fn answered(&self, status: &'static str, reasoner: &'static str, degraded: bool, took: Duration) {
+        self.answered.get_or_create(&[("status", status), ("reasoner", reasoner)]).inc();
+        self.duration.get_or_create(&[("reasoner", reasoner)]).observe(took.as_secs_f64());
+        self.degraded.inc_by(u64::from(degraded));
+    }
+
+    /// A question got none; `code` is the problem's.
+    pub fn failed(&self, code: &'static str) {
+        self.answered.get_or_create(&[("status", "failed"), ("reasoner", "none")]).inc();
+        self.failures.get_or_create(&[("code", code)]).inc();
+    }
+
+    /// An item of a batch is over.
+    pub fn item(&self, status: &str) {
+        let outcome = STATUSES.into_iter().find(|known| *known == status).unwrap_or("other");
+        self.items.get_or_create(&[("outcome", outcome)]).inc();
+    }
+
+    /// A parse was made; its stages with what each took.
+    pub fn parsed<'a>(&self, took: Duration, stages: impl IntoIterator<Item = (&'a str, f32)>) {
+        self.parses.observe(took.as_secs_f64());
+        for (stage, seconds) in stages {
+            let stage = STAGES.into_iter().find(|known| *known == stage).unwrap_or("other");
+            self.stages.get_or_create(&[("stage", stage)]).observe(f64::from(seconds));
+        }
+    }
+
+    /// How often something was found in a cache since the start, and how often not.
+    pub fn cache(&self, cache: &'static str, hits: u64, misses: u64) {
+        for (outcome, looks) in [("hit", hits), ("miss", misses)] {
+            self.caches.get_or_create(&[("cache", cache), ("outcome", outcome)]).inner().store(looks, Relaxed);
+        }
+    }
+}

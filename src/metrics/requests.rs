@@ -1,0 +1,105 @@
+//! Requests and connections.
+
+use super::{Histograms, short_seconds};
+use prometheus_client::encoding::EncodeLabelSet;
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::registry::{Registry, Unit};
+use std::time::Instant;
+
+#[derive(Debug, Clone, Hash, PartialEq, Eq, EncodeLabelSet)]
+struct Labels {
+    method: &'static str,
+    route: String,
+    status: u16,
+}
+
+/// Methods somebody may have meant; others are no words of ours.
+const METHODS: [&str; 7] = ["GET", "POST", "PUT", "PATCH", "DELETE", "HEAD", "OPTIONS"];
+/// The route of requests to a path that is none.
+const NO_ROUTE: &str = "none";
+/// The status of requests whose caller left before there was one; nginx calls it so.
+const CALLER_LEFT: u16 = 499;
+
+/// What happens at the door.
+pub struct Requests {
+    finished: Family<Labels, Counter>,
+    duration: Histograms<Labels>,
+    in_flight: Gauge,
+    pub connections: Gauge,
+    pub connections_limit: Gauge,
+    pub connections_refused: Counter,
+    pub event_streams: Gauge,
+}
+
+impl Requests {
+    pub(super) fn new(registry: &mut Registry) -> Self {
+        let requests = Self {
+            finished: Family::default(),
+            duration: Histograms::new_with_constructor(short_seconds),
+            in_flight: Gauge::default(),
+            connections: Gauge::default(),
+            connections_limit: Gauge::default(),
+            connections_refused: Counter::default(),
+            event_streams: Gauge::default(),
+        };
+        registry.register("http_requests", "Requests by method, template of the route and status", requests.finished.clone());
+        let help = "From a request's header to its answer's; bodies that are streamed take longer";
+        registry.register_with_unit("http_request_duration", help, Unit::Seconds, requests.duration.clone());
+        registry.register("http_requests_in_flight", "Requests that have no answer yet", requests.in_flight.clone());
+        registry.register("http_connections", "Connections open now", requests.connections.clone());
+        registry.register("http_connections_limit", "Connections that may be open at once", requests.connections_limit.clone());
+        let help = "Connections turned away because all places had a request under way";
+        registry.register("http_connections_refused", help, requests.connections_refused.clone());
+        registry.register("http_event_streams", "Event streams open now", requests.event_streams.clone());
+        requests
+    }
+
+    /// A request begins. `route` is its template, where its path has one.
+    #[must_use]
+    pub fn begin(&self, method: &str, route: Option<&str>) -> Underway<'_> {
+        self.in_flight.inc();
+        let method = METHODS.into_iter().find(|known| *known == method).unwrap_or("other");
+        let labels = Labels { method, route: route.unwrap_or(NO_ROUTE).to_owned(), status: CALLER_LEFT };
+        Underway { requests: self, labels, start: Instant::now() }
+    }
+}
+
+/// A request under way; counted when this is dropped.
+pub struct Underway<'a> {
+    requests: &'a Requests,
+    labels: Labels,
+    start: Instant,
+}
+
+impl Underway<'_> {
+    /// There is an answer.
+    pub fn answered(mut self, status: u16) {
+        self.labels.status = status;
+    }
+}
+
+impl Drop for Underway<'_> {
+    fn drop(&mut self) {
+        self.requests.in_flight.dec();
+        self.requests.finished.get_or_create(&self.labels).inc();
+        self.requests.duration.get_or_create(&self.labels).observe(self.start.elapsed().as_secs_f64());
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn odd_methods_and_paths_make_no_labels_of_their_own() {
+        let requests = Requests::new(&mut Registry::default());
+        requests.begin("BREW", None).answered(405);
+        drop(requests.begin("GET", Some("/v1/scenes")));
+        let of = |method, route: &str, status| requests.finished.get(&Labels { method, route: route.into(), status }).map(|n| n.get());
+        assert_eq!(of("other", "none", 405), Some(1));
+        assert_eq!(of("GET", "/v1/scenes", CALLER_LEFT), Some(1), "who left is counted too");
+        assert_eq!(requests.in_flight.get(), 0);
+    }
+}

@@ -1,0 +1,84 @@
+//! Calls of the vision-language model.
+
+use super::{FloatGauge, Labels};
+use prometheus_client::metrics::counter::Counter;
+use prometheus_client::metrics::family::Family;
+use prometheus_client::metrics::gauge::Gauge;
+use prometheus_client::metrics::histogram::Histogram;
+use prometheus_client::registry::{Registry, Unit};
+use std::sync::atomic::AtomicU64;
+use std::time::Duration;
+
+/// What the model is asked, and what it takes.
+pub struct Vlm {
+    calls: Family<Labels<1>, Counter>,
+    attempts: Counter,
+    tokens: Family<Labels<1>, Counter>,
+    spent: Counter<f64, AtomicU64>,
+    duration: Histogram,
+    malformed: Family<Labels<1>, Counter>,
+    /// Questions that have a place among those who wait for the model.
+    pub waiting: Gauge,
+    /// Spent on this day (UTC), by this server and those before it.
+    pub spent_today: FloatGauge,
+    /// 0: no limit.
+    pub daily_limit: FloatGauge,
+}
+
+impl Vlm {
+    pub(super) fn new(registry: &mut Registry) -> Self {
+        let vlm = Self {
+            calls: Family::default(),
+            attempts: Counter::default(),
+            tokens: Family::default(),
+            spent: Counter::default(),
+            duration: Histogram::new([0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 15.0, 30.0, 60.0, 120.0, 300.0, 900.0]),
+            malformed: Family::default(),
+            waiting: Gauge::default(),
+            spent_today: FloatGauge::default(),
+            daily_limit: FloatGauge::default(),
+        };
+        registry.register("vlm_calls", "Calls of the vision-language model by what came of them", vlm.calls.clone());
+        registry.register("vlm_attempts", "Requests sent to the model's endpoint, repeated ones included", vlm.attempts.clone());
+        registry.register("vlm_tokens", "Tokens of calls that were answered", vlm.tokens.clone());
+        registry.register("vlm_spent_usd", "What calls have cost since the start, US dollars", vlm.spent.clone());
+        let help = "One call with all its attempts and the waits between them";
+        registry.register_with_unit("vlm_call_duration", help, Unit::Seconds, vlm.duration.clone());
+        let help = "Replies that had to be asked for again, by what was wrong with them";
+        registry.register("vlm_malformed_replies", help, vlm.malformed.clone());
+        registry.register("vlm_questions_waiting", "Questions that wait for the model or speak with it", vlm.waiting.clone());
+        registry.register("vlm_spent_today_usd", "Spent on this day (UTC), US dollars", vlm.spent_today.clone());
+        registry.register("vlm_daily_limit_usd", "What may be spent in a day, US dollars; 0: no limit", vlm.daily_limit.clone());
+        vlm
+    }
+
+    /// There is a model: what has not happened yet is told as 0.
+    pub fn knows(&self, outcomes: &[&'static str]) {
+        for outcome in outcomes {
+            self.calls.get_or_create(&[("outcome", outcome)]).inc_by(0);
+        }
+    }
+
+    /// A call ended.
+    pub fn called(&self, outcome: &'static str, attempts: u32, took: Duration) {
+        self.calls.get_or_create(&[("outcome", outcome)]).inc();
+        self.attempts.inc_by(attempts.into());
+        self.duration.observe(took.as_secs_f64());
+    }
+
+    /// A call was answered with so many tokens.
+    pub fn counted(&self, prompt_tokens: u64, completion_tokens: u64) {
+        self.tokens.get_or_create(&[("type", "prompt")]).inc_by(prompt_tokens);
+        self.tokens.get_or_create(&[("type", "completion")]).inc_by(completion_tokens);
+    }
+
+    /// Money is gone, US dollars.
+    pub fn paid(&self, usd: f64) {
+        self.spent.inc_by(usd.max(0.0));
+    }
+
+    /// A reply did not hold together.
+    pub fn malformed(&self, problem: &'static str) {
+        self.malformed.get_or_create(&[("problem", problem)]).inc();
+    }
+}

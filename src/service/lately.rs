@@ -1,0 +1,74 @@
+//! A value that takes a while to find out and need not be newer than a moment ago: whoever asks at the same time shares one look.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use tokio::time::timeout;
+
+/// What was seen last, and when.
+pub struct Lately<T> {
+    last: Arc<Mutex<Option<(Instant, T)>>>,
+    /// Held by who looks.
+    looking: Arc<tokio::sync::Mutex<()>>,
+}
+
+impl<T> Clone for Lately<T> {
+    fn clone(&self) -> Self {
+        Self { last: self.last.clone(), looking: self.looking.clone() }
+    }
+}
+
+impl<T> Default for Lately<T> {
+    fn default() -> Self {
+        Self { last: Arc::default(), looking: Arc::default() }
+    }
+}
+
+impl<T: Clone + Send + 'static> Lately<T> {
+    /// The value as it is, or was less than `age` ago.
+    pub async fn get(&self, age: Duration, look: impl Future<Output = T>) -> T {
+        let _looking = self.looking.lock().await;
+        if let Some((at, value)) = &*self.last.lock().unwrap_or_else(PoisonError::into_inner)
+            && at.elapsed() < age
+        {
+            return value.clone();
+        }
+        let value = look.await;
+        *self.last.lock().unwrap_or_else(PoisonError::into_inner) = Some((Instant::now(), value.clone()));
+        value
+    }
+
+    /// The same for somebody who does not wait longer than `patience`: the look goes on without him, and what was seen before is told;
+    /// `None` where nothing was.
+    pub async fn get_soon(&self, age: Duration, patience: Duration, look: impl Future<Output = T> + Send + 'static) -> Option<T> {
+        let lately = self.clone();
+        let looking = tokio::spawn(async move { lately.get(age, look).await });
+        match timeout(patience, looking).await {
+            Ok(Ok(value)) => Some(value),
+            _ => self.last(),
+        }
+    }
+
+    /// What was seen last, however long ago.
+    pub fn last(&self) -> Option<T> {
+        self.last.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(|(_, value)| value.clone())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::time::sleep;
+
+    #[tokio::test]
+    async fn a_look_is_shared_and_nobody_waits_longer_than_he_likes() {
+        let (lately, long) = (Lately::default(), Duration::from_hours(1));
+        assert_eq!(lately.get(long, async { 1 }).await, 1);
+        assert_eq!(lately.get(long, async { 2 }).await, 1);
+        let slow = async {
+            sleep(Duration::from_millis(50)).await;
+            3
+        };
+        assert_eq!(lately.get_soon(Duration::ZERO, Duration::from_millis(5), slow).await, Some(1));
+        assert_eq!(lately.get(long, async { 4 }).await, 3, "the look went on");
+    }
+}

@@ -1,0 +1,183 @@
+//! Calls of the model, written down before they are made and counted when they end.
+
+use super::today;
+use crate::metrics::Metrics;
+use crate::store::{Store, now};
+use futures::FutureExt;
+use futures::future::BoxFuture;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+use uniground_core::models::chat::{ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Prices};
+use uniground_core::models::with_causes;
+
+/// What may come of a call.
+const ANSWERED: &str = "answered";
+const REFUSED: &str = "refused";
+const UNREACHABLE: &str = "unreachable";
+const UNREADABLE: &str = "unreadable";
+/// Whoever asked left before there was an answer.
+const ABANDONED: &str = "abandoned";
+
+fn outcome_of(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
+    match answered {
+        Ok(_) => ANSWERED,
+        Err(ChatFailure { error, .. }) => match error {
+            ChatError::Refused { .. } => REFUSED,
+            ChatError::Transport(_) => UNREACHABLE,
+            ChatError::Undecodable(_) => UNREADABLE,
+            ChatError::NotRecorded(_) | ChatError::ReplayCache(_) => "not_recorded",
+            ChatError::NotRecordable(_) => "not_recordable",
+        },
+    }
+}
+
+/// A model whose calls are written down before they are made: whatever becomes of the server or of who asked, what was spent is known.
+/// They are counted, too.
+#[derive(Clone)]
+pub struct Metered {
+    model: Arc<dyn ChatModel>,
+    store: Store,
+    metrics: Arc<Metrics>,
+    condition: Arc<Mutex<Condition>>,
+    /// Whose calls they are.
+    key_id: Option<String>,
+}
+
+/// What became of the latest calls.
+#[derive(Default)]
+struct Condition {
+    /// Calls in a row that the model did not answer, by the last one's outcome, and when the first of them was.
+    failing: Option<(u32, &'static str, String)>,
+}
+
+impl Metered {
+    pub fn new(model: Arc<dyn ChatModel>, store: Store, metrics: Arc<Metrics>) -> Self {
+        metrics.vlm.knows(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE]);
+        Self { model, store, metrics, condition: Arc::default(), key_id: None }
+    }
+
+    /// The same for somebody: what calls cost is written down for them, too.
+    pub fn of(&self, key_id: Option<&str>) -> Self {
+        Self { key_id: key_id.map(str::to_owned), ..self.clone() }
+    }
+
+    /// Whether the model answered when it was asked last; else since when it has not.
+    pub fn condition(&self) -> Result<(), String> {
+        match &self.condition.lock().unwrap_or_else(PoisonError::into_inner).failing {
+            None => Ok(()),
+            Some((calls, outcome, since)) => Err(format!("{outcome} since {since} ({calls} calls)")),
+        }
+    }
+
+    async fn ask_paid(&self, request: &ChatRequest) -> Result<ChatReply, ChatFailure> {
+        let prices = self.model.prices();
+        if !prices.are_known() {
+            return self.model.ask(request).await;
+        }
+        let thought_usd = prices.thought_usd(request);
+        let reserved = self.store.reserve_spending(&today(), thought_usd, self.key_id.as_deref()).await;
+        let id = reserved.map_err(|error| {
+            let error = ChatError::NotRecordable(with_causes(&error));
+            ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 }
+        })?;
+        // Who leaves while the model thinks has asked it all the same.
+        let mut call = Call { store: self.store.clone(), open: Some((id, thought_usd)) };
+        let outcome = self.model.ask(request).await;
+        call.open = call.open.take().map(|(id, _)| (id, prices.paid_usd(request, &outcome)));
+        call.settle().await;
+        outcome
+    }
+
+    fn count(&self, outcome: &'static str, attempts: u32, start: Instant, usd: f64) {
+        self.metrics.vlm.called(outcome, attempts, start.elapsed());
+        self.metrics.vlm.paid(usd);
+        let mut condition = self.condition.lock().unwrap_or_else(PoisonError::into_inner);
+        match outcome {
+            ANSWERED => condition.failing = None,
+            REFUSED | UNREACHABLE | UNREADABLE => {
+                let (calls, _, since) = condition.failing.take().unwrap_or_else(|| (0, outcome, now()));
+                condition.failing = Some((calls + 1, outcome, since));
+            }
+            _ => {}
+        }
+    }
+}
+
+impl ChatModel for Metered {
+    fn name(&self) -> &str {
+        self.model.name()
+    }
+
+    fn prices(&self) -> Prices {
+        self.model.prices()
+    }
+
+    fn ask<'a>(&'a self, request: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
+        async move {
+            let mut counted = Counted { metered: self, start: Instant::now(), thought_usd: Some(self.prices().thought_usd(request)) };
+            let answered = self.ask_paid(request).await;
+            counted.thought_usd = None;
+            let (attempts, usd) = match &answered {
+                Ok(reply) => {
+                    self.metrics.vlm.counted(reply.prompt_tokens, reply.completion_tokens);
+                    (reply.attempts, self.prices().paid_usd(request, &answered))
+                }
+                Err(failure) => (failure.attempts, self.prices().paid_usd(request, &answered)),
+            };
+            self.count(outcome_of(&answered), attempts, counted.start, usd);
+            answered
+        }
+        .boxed()
+    }
+}
+
+/// A call that will be counted, also when nobody waits for its end.
+struct Counted<'a> {
+    metered: &'a Metered,
+    start: Instant,
+    /// What the call is taken to cost as long as it is under way.
+    thought_usd: Option<f64>,
+}
+
+impl Drop for Counted<'_> {
+    fn drop(&mut self) {
+        if let Some(usd) = self.thought_usd {
+            self.metered.count(ABANDONED, 1, self.start, usd);
+        }
+    }
+}
+
+/// A call under way.
+struct Call {
+    store: Store,
+    /// Its reservation, and what it is taken to cost.
+    open: Option<(String, f64)>,
+}
+
+impl Call {
+    async fn settle(&mut self) {
+        if let Some((id, usd)) = self.open.take() {
+            settle(&self.store, &id, usd).await;
+        }
+    }
+}
+
+impl Drop for Call {
+    fn drop(&mut self) {
+        if let Some((id, usd)) = self.open.take() {
+            let store = self.store.clone();
+            tokio::spawn(async move { settle(&store, &id, usd).await });
+        }
+    }
+}
+
+/// What can not be settled stays reserved, and counts as spent when the server starts next.
+async fn settle(store: &Store, id: &str, usd: f64) {
+    if let Err(error) = store.settle_spending(id, usd).await {
+        tracing::warn!(
+            usd,
+            error = &error as &dyn std::error::Error,
+            "what a call has cost could not be written down: it stays reserved"
+        );
+    }
+}

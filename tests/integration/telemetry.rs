@@ -1,0 +1,340 @@
+//! What a server tells of itself: metrics, numbers and readiness, held against what was done, and against the files that use them.
+
+use crate::script::{Script, fails, says};
+use crate::server::{TestServer, ask, finished};
+use camino::Utf8Path;
+use reqwest::Method;
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::time::{Duration, Instant};
+use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
+use uniground_types::batch::BatchState;
+use uniground_types::instances::Levels;
+use uniground_types::question::{GroundRequest, ReasonerChoice};
+use uniground_types::service::Readiness;
+
+/// A sample: its labels and its value.
+type Sample = (BTreeMap<String, String>, f64);
+
+/// What a scrape says: samples by name, the types and the help of families.
+struct Scrape {
+    samples: BTreeMap<String, Vec<Sample>>,
+    types: BTreeMap<String, String>,
+}
+
+impl Scrape {
+    /// Reads every line, and fails on one that is none.
+    fn read(text: &str) -> Self {
+        let (mut samples, mut types, mut helped) = (BTreeMap::<_, Vec<Sample>>::new(), BTreeMap::new(), BTreeSet::new());
+        assert!(text.ends_with("# EOF\n"), "{text}");
+        for line in text.lines().filter(|line| *line != "# EOF") {
+            if let Some(rest) = line.strip_prefix("# ") {
+                let (what, rest) = rest.split_once(' ').unwrap();
+                let (name, said) = rest.split_once(' ').unwrap();
+                match what {
+                    "TYPE" => assert!(types.insert(name.to_owned(), said.to_owned()).is_none(), "{name} stands there twice"),
+                    "HELP" => assert!(said.len() > 10 && helped.insert(name.to_owned()), "{line}"),
+                    "UNIT" => assert!(name.ends_with(said), "{line}"),
+                    _ => panic!("{line}"),
+                }
+                continue;
+            }
+            let (series, value) = line.rsplit_once(' ').unwrap();
+            let value: f64 = value.parse().unwrap_or_else(|_| panic!("{line}"));
+            let (name, labels) = series.split_once('{').map_or((series, ""), |(name, rest)| (name, rest.strip_suffix('}').unwrap()));
+            let labels = labels.split("\",").filter(|label| !label.is_empty()).map(|label| {
+                let (label, value) = label.split_once("=\"").unwrap_or_else(|| panic!("{line}"));
+                (label.to_owned(), value.trim_end_matches('"').to_owned())
+            });
+            samples.entry(name.to_owned()).or_default().push((labels.collect(), value));
+        }
+        assert_eq!(types.keys().collect::<Vec<_>>(), helped.iter().collect::<Vec<_>>());
+        Self { samples, types }
+    }
+
+    /// The value of a series; 0 where there is none yet.
+    fn value(&self, name: &str, labels: &[(&str, &str)]) -> f64 {
+        let fits = |(of, _): &&Sample| labels.iter().all(|(label, value)| of.get(*label).is_some_and(|found| found == value));
+        self.samples.get(name).into_iter().flatten().filter(fits).map(|(_, value)| value).sum()
+    }
+
+    /// Every name a query may use, also of families without a sample yet.
+    fn names(&self) -> BTreeSet<String> {
+        let of = |(family, kind): (&String, &String)| match kind.as_str() {
+            "counter" => vec![format!("{family}_total")],
+            "histogram" => ["_bucket", "_sum", "_count"].map(|end| format!("{family}{end}")).into(),
+            "info" => vec![format!("{family}_info")],
+            _ => vec![family.clone()],
+        };
+        self.types.iter().flat_map(of).collect()
+    }
+}
+
+async fn scraped(server: &TestServer) -> Scrape {
+    let response = server.client.request(Method::GET, "metrics").send().await.unwrap();
+    assert_eq!(response.headers()["content-type"], "application/openmetrics-text; version=1.0.0; charset=utf-8");
+    Scrape::read(&response.text().await.unwrap())
+}
+
+async fn readiness(server: &TestServer) -> (u16, Readiness) {
+    let response = server.client.request(Method::GET, "readyz").send().await.unwrap();
+    (response.status().as_u16(), response.json().await.unwrap())
+}
+
+fn sample() -> Vec<u8> {
+    fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap()
+}
+
+fn file(path: &str) -> String {
+    fs::read_to_string(Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join(path)).unwrap()
+}
+
+/// Names of metrics of ours within a text.
+fn named(text: &str) -> BTreeSet<String> {
+    let words = text.split(|c: char| !c.is_ascii_alphanumeric() && c != '_');
+    words
+        .filter(|word| word.starts_with("uniground_") || word.starts_with("process_"))
+        .map(str::to_owned)
+        .collect()
+}
+
+/// Names of metrics in the expressions of the dashboard; each panel has a place of its own and one title.
+fn named_in_dashboard() -> BTreeSet<String> {
+    let dashboard: Value = serde_json::from_str(&file("deploy/grafana-dashboard.json")).unwrap();
+    let panels = dashboard["panels"].as_array().unwrap();
+    let ids: BTreeSet<u64> = panels.iter().map(|panel| panel["id"].as_u64().unwrap()).collect();
+    assert!(ids.len() == panels.len() && panels.len() > 20);
+    let targets = panels.iter().filter_map(|panel| panel["targets"].as_array()).flatten();
+    targets.flat_map(|target| named(target["expr"].as_str().unwrap())).collect()
+}
+
+fn bytes_below(folder: &Utf8Path) -> u64 {
+    let entries = folder.read_dir_utf8().unwrap().map(Result::unwrap);
+    entries
+        .map(|entry| if entry.file_type().unwrap().is_dir() { bytes_below(entry.path()) } else { entry.metadata().unwrap().len() })
+        .sum()
+}
+
+/// The sample scan is uploaded twice, asked about alone and in a batch, and one question is about a scene that is none.
+#[tokio::test(flavor = "multi_thread")]
+async fn metrics_and_stats_tell_what_was_done() {
+    let server = TestServer::start().await;
+    let before = scraped(&server).await;
+    assert_eq!((before.value("uniground_scenes", &[]), before.value("uniground_ready", &[])), (0.0, 1.0));
+    assert_eq!(before.value("uniground_jobs_finished_total", &[]), 0.0);
+    assert!(before.samples["uniground_jobs_finished_total"].len() >= 9, "zeros of every kind and state");
+    let scene = server.parsed(sample()).await.id;
+    let again = server.client.create_scene(Some("again"), "application/zip", sample()).await.unwrap();
+    finished(&server.client, &again.job.unwrap().id).await;
+    for query in ["the mug on the coffee table", "the green fridge"] {
+        server.client.ground(&scene, &ask(query)).await.unwrap();
+    }
+    server.client.ground("0190a0a0-0000-7000-8000-000000000000", &ask("the mug")).await.unwrap_err();
+    let items = serde_json::json!({"defaults": {"scene_id": scene}, "items": [{"query": "the sofa"}, {"query": "the lamp"}]});
+    let batch = server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
+    finished(&server.client, batch.job_id.as_deref().unwrap()).await;
+    assert_eq!(server.client.batch(&batch.id).await.unwrap().state, BatchState::Succeeded);
+    server.client.bytes("no/such/path").await.unwrap_err();
+    tokio::time::sleep(Duration::from_millis(1100)).await;
+
+    let first = scraped(&server).await;
+    let route = "/v1/scenes/{scene_id}/ground";
+    let asked = |scrape: &Scrape, status| {
+        scrape.value("uniground_http_requests_total", &[("route", route), ("method", "POST"), ("status", status)])
+    };
+    assert_eq!((asked(&first, "200"), asked(&first, "404")), (2.0, 1.0));
+    assert_eq!(first.value("uniground_http_request_duration_seconds_count", &[("route", route), ("status", "200")]), 2.0);
+    assert_eq!(first.value("uniground_http_requests_total", &[("route", "none"), ("status", "404")]), 1.0);
+    assert_eq!(first.value("uniground_questions_total", &[("reasoner", "builtin")]), 4.0);
+    assert_eq!(first.value("uniground_questions_total", &[("status", "no_match")]), 1.0);
+    assert_eq!(first.value("uniground_question_failures_total", &[("code", "scene_not_found")]), 1.0);
+    assert_eq!(first.value("uniground_question_duration_seconds_count", &[("reasoner", "builtin")]), 4.0);
+    assert_eq!(first.value("uniground_batch_items_total", &[]), 2.0);
+    assert_eq!(first.value("uniground_jobs_finished_total", &[("kind", "parse"), ("state", "succeeded")]), 2.0);
+    assert_eq!(first.value("uniground_jobs_finished_total", &[("kind", "batch"), ("state", "succeeded")]), 1.0);
+    assert_eq!(first.value("uniground_parse_duration_seconds_count", &[]), 1.0, "the second scene took the first one's parse");
+    let stages = first.value("uniground_parse_stage_duration_seconds_sum", &[]);
+    assert!(stages > 0.0 && stages <= first.value("uniground_parse_duration_seconds_sum", &[]) * 1.01, "{stages}");
+    assert_eq!(
+        first.value("uniground_parse_stage_duration_seconds_count", &[("stage", "other")]),
+        0.0,
+        "every stage has a name"
+    );
+    assert_eq!(first.value("uniground_parse_stage_duration_seconds_count", &[("stage", "merging")]), 1.0);
+    assert!(first.value("uniground_cache_requests_total", &[("cache", "parses"), ("outcome", "hit")]) >= 3.0);
+    assert_eq!(first.value("uniground_component_up", &[("component", "workers")]), 1.0);
+    assert_eq!(first.samples["uniground_lane_up"].len(), 3);
+    assert!(first.value("process_resident_memory_bytes", &[]) > 1e6);
+
+    // The numbers for people say the same.
+    let stats = server.client.stats().await.unwrap();
+    let instances = server.client.all_instances(&scene, Levels::All).await.unwrap().len() as u32;
+    let stored = &stats.stored;
+    assert_eq!((stored.scenes, stored.parses, stored.instances, stored.answers), (2, 1, instances, 4));
+    assert_eq!(stored.batches, BTreeMap::from([("succeeded".to_owned(), 1)]));
+    for (metric, count) in
+        [("scenes", stored.scenes), ("parses", stored.parses), ("instances", stored.instances), ("answers", stored.answers)]
+    {
+        assert_eq!(first.value(&format!("uniground_{metric}"), &[]), f64::from(count), "{metric}");
+    }
+    assert_eq!(first.value("uniground_batches", &[("state", "succeeded")]), 1.0);
+    for jobs in &stats.jobs {
+        assert!(jobs.working && jobs.queued == 0 && jobs.running == 0 && jobs.oldest_queued_s.is_none(), "{jobs:?}");
+        let counted = |state| first.value("uniground_jobs_finished_total", &[("kind", &jobs.kind), ("state", state)]);
+        assert_eq!((counted("succeeded"), counted("failed")), (f64::from(jobs.succeeded), f64::from(jobs.failed)), "{jobs:?}");
+    }
+    assert_eq!((stats.spending.today_usd, stats.spending.daily_limit_usd), (0.0, None));
+    assert_eq!((stats.retention.keep_answers_days, stats.version.as_str()), (365, env!("CARGO_PKG_VERSION")));
+    assert!(stats.disk.database_bytes > 4096 && stats.disk.free_bytes > 0);
+
+    // Sizes are measured behind everybody's back, and those of the start are of a folder that was empty.
+    let data = server.data().to_owned();
+    let restarted =
+        TestServer::start_on(server.give_back().await, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+    let sizes = loop {
+        if let Some(sizes) = restarted.client.stats().await.unwrap().disk.blob_bytes {
+            break sizes;
+        }
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    };
+    for kind in ["contents", "parses", "checkpoints", "answers"] {
+        assert_eq!(sizes[kind], bytes_below(&data.join("blobs").join(kind)), "{kind}");
+    }
+    assert!(sizes["contents"] > 100_000 && sizes["parses"] > 100_000, "{sizes:?}");
+    let scrape = scraped(&restarted).await;
+    assert_eq!(scrape.value("uniground_blobs_size_bytes", &[("kind", "parses")]), sizes["parses"] as f64);
+    assert_eq!((scrape.value("uniground_answers", &[]), scrape.value("uniground_questions_total", &[])), (4.0, 0.0));
+    let start = Instant::now();
+    for _ in 0..20 {
+        scraped(&restarted).await;
+    }
+    let each = start.elapsed() / 20;
+    assert!(each < Duration::from_millis(50), "a scrape takes {each:?}");
+    restarted.stop().await;
+}
+
+/// Alerts, dashboard and manual speak of metrics that there are, the manual of all of them; no label has a value that nobody foresaw.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_uses_metrics_names_those_there_are() {
+    let server = TestServer::start().await;
+    let path = "v1/scenes/0190a0a0-0000-7000-8000-000000000000";
+    for method in ["GET", "PATCH", "BREW"] {
+        let method = Method::from_bytes(method.as_bytes()).unwrap();
+        server.client.request(method, path).send().await.unwrap();
+    }
+    let scrape = scraped(&server).await;
+    let known = scrape.names();
+    for used in ["deploy/prometheus-alerts.yml", "docs/guides/operations.md"] {
+        // A placeholder for all of them, and names that are none of metrics.
+        let unknown: Vec<_> = named(&file(used))
+            .into_iter()
+            .filter(|name| !known.contains(name) && !scrape.types.contains_key(name))
+            .collect();
+        assert_eq!(unknown, [""; 0], "{used}");
+    }
+    let unknown: Vec<_> = named_in_dashboard().into_iter().filter(|name| !known.contains(name)).collect();
+    assert_eq!(unknown, [""; 0], "the dashboard");
+
+    // The table: | `name` | type | labels | ...
+    let manual = file("docs/guides/operations.md");
+    let rows = manual.lines().filter(|line| line.starts_with("| `uniground_") || line.starts_with("| `process_"));
+    let told: BTreeMap<&str, Vec<&str>> = rows
+        .map(|row| row.split('|').map(|cell| cell.trim().trim_matches('`')).collect::<Vec<_>>())
+        .map(|cells| (cells[1], cells))
+        .collect();
+    let exposed = |(family, kind): (&String, &String)| match kind.as_str() {
+        "counter" => format!("{family}_total"),
+        "info" => format!("{family}_info"),
+        _ => family.clone(),
+    };
+    let families: BTreeSet<String> = scrape.types.iter().map(exposed).collect();
+    assert_eq!(told.keys().map(|name| (*name).to_owned()).collect::<BTreeSet<_>>(), families, "the manual's table");
+    for (family, kind) in &scrape.types {
+        assert_eq!(told[exposed((family, kind)).as_str()][2], kind, "{family}");
+    }
+    let alerts = file("deploy/prometheus-alerts.yml");
+    let alerts: Vec<&str> = alerts.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")).collect();
+    assert!(alerts.len() > 10);
+    for alert in alerts {
+        assert!(manual.contains(&format!("| `{alert}` |")), "the manual does not tell about {alert}");
+    }
+
+    for (name, samples) in &scrape.samples {
+        for (labels, _) in samples {
+            for (label, value) in labels {
+                // Templates have braces; what has digits like an id was somebody's.
+                let bounded =
+                    label == "le" || label == "version" || label == "status" || value.chars().filter(char::is_ascii_digit).count() <= 1;
+                assert!(bounded && value.len() < 60, "{name} {label}={value}");
+            }
+        }
+    }
+    assert_eq!(scrape.value("uniground_http_requests_total", &[("method", "other")]), 1.0);
+    assert_eq!(scrape.value("uniground_http_requests_total", &[("route", "/v1/scenes/{scene_id}")]), 3.0);
+    server.stop().await;
+}
+
+/// A model that does not answer is told, and the server is ready all the same: built-in parts answer.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
+    let script = Script::default();
+    let url = script.serve(vec![fails(500, "out of order")]).await;
+    let vlm = VlmConfig {
+        vlm_url: Some(url),
+        vlm_model: Some("scripted".into()),
+        vlm_prompt_usd: 2.0,
+        vlm_completion_usd: 8.0,
+        vlm_daily_usd: Some(3.0),
+        vlm_attempts: 2,
+        vlm_backoff_ms: 1,
+        ..VlmConfig::default()
+    };
+    let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
+    assert_eq!(readiness(&server).await.1.vlm.as_deref(), Some("ok"));
+    let scene = server.parsed(sample()).await.id;
+    let query = "the mug on the coffee table";
+    let answer = server.client.ground(&scene, &ask(query)).await.unwrap();
+    assert!(answer.degraded);
+    tokio::time::sleep(Duration::from_millis(1100)).await;
+    let (status, told) = readiness(&server).await;
+    let trouble = told.vlm.unwrap();
+    assert!(
+        status == 200 && told.ready && trouble.starts_with("refused since ") && trouble.ends_with(" (1 calls)"),
+        "{trouble}"
+    );
+    let scrape = scraped(&server).await;
+    assert_eq!(
+        (scrape.value("uniground_component_up", &[("component", "vlm")]), scrape.value("uniground_ready", &[])),
+        (0.0, 1.0)
+    );
+    assert_eq!(
+        (scrape.value("uniground_vlm_attempts_total", &[]), scrape.value("uniground_questions_degraded_total", &[])),
+        (2.0, 1.0)
+    );
+
+    // It comes back: first with words that make no sense, then with a choice.
+    let chosen = answer.candidates.as_ref().unwrap()[0].id;
+    let choice = format!(
+        "Predicted ID: {chosen}\nExplanation: red\nCandidate Names: {chosen} -> mug\nTarget name matches?: True\nAnchor ID: -1\nRelation used: on"
+    );
+    script.next(vec![says("I would rather not"), says(&choice)]);
+    let request = GroundRequest { reasoner: ReasonerChoice::Vlm, ..ask(query) };
+    let answer = server.client.ground(&scene, &request).await.unwrap();
+    assert_eq!(answer.usage.vlm_calls, 2);
+    tokio::time::sleep(Duration::from_millis(1100)).await;
+    assert_eq!(readiness(&server).await.1.vlm.as_deref(), Some("ok"));
+    let scrape = scraped(&server).await;
+    let calls = |outcome| scrape.value("uniground_vlm_calls_total", &[("outcome", outcome)]);
+    assert_eq!((calls("answered"), calls("refused"), calls("unreachable")), (2.0, 1.0, 0.0));
+    assert_eq!(scrape.value("uniground_vlm_malformed_replies_total", &[("problem", "unreadable")]), 1.0);
+    let tokens = |of| scrape.value("uniground_vlm_tokens_total", &[("type", of)]);
+    assert_eq!((tokens("prompt"), tokens("completion")), (1400.0, 80.0));
+    assert_eq!(scrape.value("uniground_questions_total", &[("reasoner", "vlm"), ("status", "grounded")]), 1.0);
+    let spending = server.client.stats().await.unwrap().spending;
+    let spent = scrape.value("uniground_vlm_spent_usd_total", &[]);
+    assert!(spent > answer.usage.cost_usd - 1e-9 && (spent - spending.today_usd).abs() < 1e-9, "{spent} {spending:?}");
+    assert!((scrape.value("uniground_vlm_spent_today_usd", &[]) - spent).abs() < 1e-9);
+    assert_eq!((spending.daily_limit_usd, scrape.value("uniground_vlm_daily_limit_usd", &[])), (Some(3.0), 3.0));
+    server.stop().await;
+}
