@@ -35,6 +35,7 @@ pub struct RunningService {
 /// When the address, the data folder or the key can not be used.
 pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     let api_key = config.api_key()?;
+    let webhook = config.webhook.webhook()?;
     let store = Store::open(&config.data_dir)
         .await
         .with_context(|| format!("the data folder {}", config.data_dir))?;
@@ -76,6 +77,10 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         start_lane(&jobs, BatchJob(service.clone()), &shutdown),
     ];
     tokio::spawn(keep_house(service.clone(), shutdown.clone()));
+    match webhook {
+        Some(webhook) => drop(tokio::spawn(service.clone().announce(Arc::new(webhook), shutdown.clone()))),
+        None => service.announce_nothing().await?,
+    }
     let app = App {
         service,
         scopes: Arc::new(http::scopes()),

@@ -3,6 +3,7 @@
 use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
 use crate::inference::RemoteServer;
 use crate::service::Limits;
+use crate::webhook::Webhook;
 use crate::{telemetry, words};
 use anyhow::{Context, bail, ensure};
 use camino::Utf8PathBuf;
@@ -42,6 +43,8 @@ pub struct ServeConfig {
     #[command(flatten)]
     pub vlm: VlmConfig,
     #[command(flatten)]
+    pub webhook: WebhookConfig,
+    #[command(flatten)]
     pub limits: LimitsConfig,
     #[command(flatten)]
     pub log: LogConfig,
@@ -60,6 +63,38 @@ pub struct AccessConfig {
     /// Another name this server may be called by without a key, besides localhost; may be given several times, or with commas
     #[arg(long = "allowed-host", env = "UNIGROUND_ALLOWED_HOSTS", value_name = "HOST", value_delimiter = ',')]
     pub allowed_hosts: Vec<String>,
+}
+
+/// A server that is told when jobs end, as Standard Webhooks have it. The secret is in UNIGROUND_WEBHOOK_SECRET or in a file.
+#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct WebhookConfig {
+    /// Address that is told when a job ends
+    #[arg(long, env = "UNIGROUND_WEBHOOK_URL", value_name = "URL")]
+    pub webhook_url: Option<String>,
+    /// File that holds what webhooks are signed with, whsec_ and base64 (or the secret itself in UNIGROUND_WEBHOOK_SECRET)
+    #[arg(long, env = "UNIGROUND_WEBHOOK_SECRET_FILE", value_name = "FILE")]
+    pub webhook_secret_file: Option<Utf8PathBuf>,
+    /// Let webhooks go to this machine and its own network
+    #[arg(long, env = "UNIGROUND_WEBHOOK_ALLOW_PRIVATE")]
+    pub webhook_allow_private: bool,
+}
+
+impl WebhookConfig {
+    /// The webhook, if one is configured.
+    ///
+    /// # Errors
+    /// An address that is none, or is private; a secret that is missing or none.
+    pub fn webhook(&self) -> anyhow::Result<Option<Webhook>> {
+        let Some(url) = &self.webhook_url else { return Ok(None) };
+        telemetry::hide_secrets_of(url);
+        let secret = match &self.webhook_secret_file {
+            Some(file) => fs::read_to_string(file).with_context(|| format!("the secret's file {file}"))?,
+            None => std::env::var("UNIGROUND_WEBHOOK_SECRET").context("--webhook-url needs a secret")?,
+        };
+        telemetry::hide(secret.trim());
+        Ok(Some(Webhook::new(url, &secret, self.webhook_allow_private).context("--webhook-url")?))
+    }
 }
 
 /// A vision-language model behind an OpenAI-compatible chat endpoint. Its key is in UNIGROUND_VLM_API_KEY or in a file.

@@ -12,4 +12,5 @@ pub mod metrics;
 pub mod service;
 pub mod store;
 pub mod telemetry;
+pub mod webhook;
 mod words;

@@ -48,6 +48,7 @@ pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
         access: AccessConfig::default(),
         models: ModelsConfig::default(),
         vlm: crate::config::VlmConfig::default(),
+        webhook: crate::config::WebhookConfig::default(),
         limits: crate::config::LimitsConfig::default(),
         log: LogConfig { log_format: LogFormat::Text },
     };

@@ -109,7 +109,10 @@ impl Jobs {
     pub async fn submit<K: JobKind>(&self, subject: &str, payload: &K::Payload, key_id: Option<&str>) -> Result<Job, JobsError> {
         self.check_room::<K>().await?;
         let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
-        let row = self.store.insert_job(subject, &NewJob { kind: K::NAME, payload: &payload, key_id, done: None }).await?;
+        let row = self
+            .store
+            .insert_job(subject, &NewJob { kind: K::NAME, payload: &payload, key_id, done: None })
+            .await?;
         Ok(self.recorded::<K>(row))
     }
 

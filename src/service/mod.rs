@@ -3,6 +3,7 @@
 //! What happens to a question or a scan is the pipelines' business ([`uniground_core`]); here stands who may ask, where things are kept,
 //! what it costs and what is remembered.
 
+mod announcing;
 mod answers;
 mod batches;
 mod doctor;

@@ -91,7 +91,14 @@ pub(super) async fn insert_done(
 ) -> Result<JobRow, StoreError> {
     let sql = "INSERT INTO jobs (id, kind, subject, payload, state, progress, message, key_id, created_at, started_at, finished_at)
                VALUES (?1, ?2, ?3, ?4, 'succeeded', 1.0, ?5, ?6, ?7, ?7, ?7) RETURNING *";
-    let row = sqlx::query_as(sql).bind(id).bind(kind).bind(subject).bind(payload).bind(message).bind(key_id).bind(now());
+    let row = sqlx::query_as(sql)
+        .bind(id)
+        .bind(kind)
+        .bind(subject)
+        .bind(payload)
+        .bind(message)
+        .bind(key_id)
+        .bind(now());
     Ok(row.fetch_one(connection).await?)
 }
 
@@ -327,7 +334,7 @@ impl Store {
 }
 
 /// The time after a wait, as stored.
-fn after(wait: Duration) -> String {
+pub(super) fn after(wait: Duration) -> String {
     let wait = jiff::SignedDuration::try_from(wait).unwrap_or_default();
     Timestamp::now().checked_add(wait).unwrap_or(Timestamp::MAX).to_string()
 }

@@ -3,6 +3,7 @@
 //! One writing connection and a pool of readers over the same file (WAL). A scene points at the bytes it was uploaded as
 //! (`contents`) and at a finished parse of them (`parses`); both are shared by scenes with the same content and settings.
 
+mod announcements;
 mod answers;
 mod batches;
 mod blobs;
@@ -223,7 +224,7 @@ const MIGRATIONS: [(i64, &str, &str); 6] = [
     (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
     (4, "nothing lost", include_str!("../../migrations/0004_nothing_lost.sql")),
     (5, "batches", include_str!("../../migrations/0005_batches.sql")),
-    (6, "keys audit lists", include_str!("../../migrations/0006_keys_audit_lists.sql")),
+    (6, "keys audit lists webhooks", include_str!("../../migrations/0006_keys_audit_lists_webhooks.sql")),
 ];
 
 fn migrations() -> Migrator {

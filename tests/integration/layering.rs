@@ -21,7 +21,7 @@ const PACKAGES: [(&str, Floors); 3] = [
             &["error"],
             &["jobs"],
             &["store"],
-            &["chat", "inference", "metrics", "words"],
+            &["chat", "inference", "metrics", "webhook", "words"],
         ],
     ),
     (

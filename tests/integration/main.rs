@@ -34,3 +34,4 @@ mod streaming;
 mod telemetry;
 mod upgrades;
 mod vlm;
+mod webhooks;

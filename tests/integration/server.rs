@@ -6,7 +6,7 @@ use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use uniground::app::{self, RunningService};
-use uniground::config::{AccessConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig, VlmConfig};
+use uniground::config::{AccessConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig, VlmConfig, WebhookConfig};
 use uniground_client::{Client, ClientError};
 use uniground_types::job::Job;
 use uniground_types::problem::Problem;
@@ -41,6 +41,7 @@ impl TestServer {
             access: AccessConfig::default(),
             models,
             vlm,
+            webhook: WebhookConfig::default(),
             limits,
             log: LogConfig { log_format: LogFormat::Text },
         };

@@ -91,7 +91,10 @@ impl Service {
         if working {
             return Ok(resumed);
         }
-        let job = self.jobs.submit::<BatchJob>(id, &Payload { batch_id: id.to_owned() }, row.key_id.as_deref()).await?;
+        let job = self
+            .jobs
+            .submit::<BatchJob>(id, &Payload { batch_id: id.to_owned() }, row.key_id.as_deref())
+            .await?;
         self.store.set_batch_job(id, &job.id).await?;
         self.batch(id).await
     }

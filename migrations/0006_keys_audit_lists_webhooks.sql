@@ -49,3 +49,15 @@ CREATE INDEX answers_by_status ON answers (status, id);
 CREATE INDEX batch_items_by_answer ON batch_items (answer_id);
 CREATE INDEX jobs_by_subject_and_time ON jobs (subject, id);
 DROP INDEX jobs_by_subject;
+
+-- Ends of jobs that somebody wants to be told of: what stands here was not taken yet. Written with the end itself, whatever brought it about.
+CREATE TABLE announcements (
+    job_id     TEXT PRIMARY KEY REFERENCES jobs (id) ON DELETE CASCADE,
+    attempts   INTEGER NOT NULL DEFAULT 0,
+    not_before TEXT
+) STRICT, WITHOUT ROWID;
+CREATE TRIGGER jobs_that_end AFTER UPDATE OF state ON jobs
+WHEN NEW.state IN ('succeeded', 'failed', 'cancelled') AND OLD.state NOT IN ('succeeded', 'failed', 'cancelled')
+BEGIN
+    INSERT OR IGNORE INTO announcements (job_id) VALUES (NEW.id);
+END;

@@ -1,0 +1,47 @@
+//! Ends of jobs that somebody wants to be told of.
+
+use super::jobs::after;
+use super::{Store, StoreError, now};
+use std::time::Duration;
+
+impl Store {
+    /// Ends that are due to be told, the longest waiting first: id of the job, and how often it was tried.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn due_announcements(&self, limit: u32) -> Result<Vec<(String, u32)>, StoreError> {
+        let sql = "SELECT job_id, attempts FROM announcements WHERE not_before IS NULL OR not_before <= ? ORDER BY job_id LIMIT ?";
+        Ok(sqlx::query_as(sql).bind(now()).bind(limit).fetch_all(&self.reader).await?)
+    }
+
+    /// Puts an announcement off that was not taken.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn put_off_announcement(&self, job_id: &str, wait: Duration) -> Result<(), StoreError> {
+        let sql = "UPDATE announcements SET attempts = attempts + 1, not_before = ? WHERE job_id = ?";
+        sqlx::query(sql).bind(after(wait)).bind(job_id).execute(self.writer.pool()).await?;
+        Ok(())
+    }
+
+    /// Forgets an announcement: it was taken, or nobody ever will.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn forget_announcement(&self, job_id: &str) -> Result<(), StoreError> {
+        sqlx::query("DELETE FROM announcements WHERE job_id = ?")
+            .bind(job_id)
+            .execute(self.writer.pool())
+            .await?;
+        Ok(())
+    }
+
+    /// Forgets all: nobody wants to be told.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn forget_announcements(&self) -> Result<(), StoreError> {
+        sqlx::query("DELETE FROM announcements").execute(self.writer.pool()).await?;
+        Ok(())
+    }
+}

@@ -1,0 +1,75 @@
+//! Being told when jobs end.
+
+use crate::archives::Scan;
+use crate::server::{Process, command, finished, parsed};
+use axum::body::Bytes;
+use axum::extract::State;
+use axum::http::{HeaderMap, StatusCode};
+use axum::routing::post;
+use camino::Utf8Path;
+use serde_json::{Value, json};
+use std::process::Stdio;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+use tokio::time::sleep;
+
+/// What was told: the webhook's id, and its body.
+type Heard = Arc<Mutex<Vec<(String, Value)>>>;
+
+/// Takes every message but the first.
+async fn hear(State(heard): State<Heard>, headers: HeaderMap, body: Bytes) -> StatusCode {
+    assert!(headers["webhook-signature"].to_str().unwrap().starts_with("v1,") && headers.contains_key("webhook-timestamp"));
+    let mut heard = heard.lock().unwrap();
+    heard.push((headers["webhook-id"].to_str().unwrap().to_owned(), serde_json::from_slice(&body).unwrap()));
+    if heard.len() == 1 { StatusCode::SERVICE_UNAVAILABLE } else { StatusCode::NO_CONTENT }
+}
+
+async fn until(heard: &Heard, number: usize) -> Vec<(String, Value)> {
+    for _ in 0..600 {
+        if heard.lock().unwrap().len() >= number {
+            break;
+        }
+        sleep(Duration::from_millis(50)).await;
+    }
+    heard.lock().unwrap().clone()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_end_of_a_job_is_told_until_somebody_listens() {
+    let heard = Heard::default();
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let url = format!("http://{}/hook", listener.local_addr().unwrap());
+    let router = axum::Router::new().route("/hook", post(hear)).with_state(heard.clone());
+    tokio::spawn(async move { axum::serve(listener, router).await });
+
+    let data = tempfile::tempdir().unwrap();
+    let folder = Utf8Path::from_path(data.path()).unwrap();
+    let start = |more: &[&str]| {
+        let mut command = command(folder, "127.0.0.1:0");
+        command.args(["--webhook-url", &url]).args(more);
+        command
+            .env("UNIGROUND_WEBHOOK_SECRET", "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw")
+            .stderr(Stdio::null());
+        command
+    };
+    let refused = start(&[]).output().unwrap();
+    assert_eq!(refused.status.code(), Some(1), "this machine's own addresses are not for webhooks");
+    let process = Process::started(&mut start(&["--webhook-allow-private"]));
+    let scene = parsed(&process.client, "application/zip", Scan::neutral().zip()).await;
+    until(&heard, 1).await;
+    // Not taken, and the server is killed: the next one tells it again.
+    process.kill();
+    let process = Process::started(&mut start(&["--webhook-allow-private"]));
+    let told = until(&heard, 2).await;
+    let [(first, event), (second, _)] = told.as_slice() else { panic!("{told:?}") };
+    assert_eq!((first, &event["type"]), (second, &json!("job.succeeded")));
+    let job = &event["data"]["job"];
+    assert_eq!((&job["subject"], &job["kind"], &event["timestamp"]), (&json!(scene.id), &json!("parse"), &job["finished_at"]));
+
+    let batch = json!({"items": [{"query": "the red sofa", "scene_id": scene.id}]});
+    let batch = process.client.create_batch(&serde_json::from_value(batch).unwrap(), None).await.unwrap();
+    finished(&process.client, batch.job_id.as_deref().unwrap()).await;
+    let told = until(&heard, 3).await;
+    assert_eq!((&told[2].1["data"]["batch"]["state"], told.len()), (&json!("succeeded"), 3), "{told:?}");
+    assert_eq!(process.terminate(), Some(0));
+}
