@@ -10,6 +10,7 @@ mod housekeeping;
 mod instances;
 mod names;
 mod parses;
+mod retention;
 mod scenes;
 mod vlm;
 
@@ -18,6 +19,7 @@ pub use batches::{BatchJob, Body, ResultFormat, Results, Submission};
 pub use doctor::{Finding, Trouble};
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};
+pub use retention::{Removed, Retention};
 pub use scenes::NewScene;
 pub use vlm::{Vlm, VlmSettings};
 
@@ -44,10 +46,7 @@ pub struct Limits {
     pub unpack: UnpackLimits,
     /// Questions being answered at once; more wait their turn, shortly.
     pub max_concurrent_questions: usize,
-    /// Days for which answers are kept; 0: for ever.
-    pub keep_answers_days: u32,
-    /// Days for which prompts, replies and pictures of answers are kept; 0: none are.
-    pub keep_evidence_days: u32,
+    pub retention: Retention,
 }
 
 /// The use cases over one store. Cheap to clone.
@@ -67,6 +66,9 @@ pub struct Service {
     models: Models,
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
     content_references: Arc<Mutex<()>>,
+    /// Held while a scene takes a stored parse, or gets a job for another, so that neither the parse nor what the job goes on from is
+    /// removed meanwhile. Whoever removes holds both, this one last.
+    parse_references: Arc<Mutex<()>>,
     health: Arc<Mutex<Option<(Instant, StoreHealth)>>>,
 }
 
@@ -91,6 +93,7 @@ impl Service {
             vlm: vlm.map(Arc::new),
             models,
             content_references: Arc::default(),
+            parse_references: Arc::default(),
             health: Arc::default(),
         }
     }

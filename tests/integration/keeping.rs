@@ -7,7 +7,7 @@ use sqlx::Connection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use std::fs;
 use std::process::{Command, Output};
-use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
+use uniground::config::{LimitsConfig, ModelsConfig, RetentionConfig, VlmConfig};
 use uniground::jobs::Jobs;
 use uniground::service::Service;
 use uniground::store::{JobState, Store};
@@ -111,7 +111,8 @@ async fn old_answers_go_and_new_ones_stay() {
                SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, created_at FROM answers, json_each('[1,2,3]')";
     sqlx::query(sql).execute(&mut rows).await.unwrap();
     let store = Store::open(folder).await.unwrap();
-    let limits = LimitsConfig { keep_answers_days: 30, ..LimitsConfig::default() };
+    let limits =
+        LimitsConfig { retention: RetentionConfig { keep_answers_days: 30, ..RetentionConfig::default() }, ..LimitsConfig::default() };
     let jobs = Jobs::new(store.clone(), 10);
     let service = Service::new(store.clone(), jobs, limits.service_limits(), None, Models::default(), background::pool().unwrap());
     service.keep_house().await.unwrap();
