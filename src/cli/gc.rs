@@ -41,11 +41,6 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
     let service = Service::new(store.clone(), jobs, limits.service_limits(), None, Models::default(), background::pool()?);
     let removed = service.let_go(Duration::ZERO).await?;
     let (entries, bytes) = removed.iter().fold((0, 0), |(entries, bytes), one| (entries + one.entries, bytes + one.bytes));
-    if !dry_run && entries > 0 {
-        store.compact().await.context("giving the room back to the disk")?;
-    }
-    drop(service);
-    store.close().await;
     if *as_json {
         println!(
             "{}",
@@ -56,5 +51,13 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
         let verb = if *dry_run { "would go" } else { "gone" };
         println!("{verb}: {entries} entries, {}", table::size(bytes));
     }
+    drop(service);
+    if !dry_run && entries > 0 {
+        store
+            .compact()
+            .await
+            .context("what was removed is gone, but the database could not give its room back to the disk")?;
+    }
+    store.close().await;
     Ok(())
 }

@@ -18,7 +18,7 @@ const OLD: &str = "016f5e66-e800-7000-8000-00000000000";
 const LONG_AGO: &str = "2020-01-01T00:00:00Z";
 
 async fn database(data: &Utf8Path) -> SqliteConnection {
-    SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(data.join("uniground.sqlite")))
+    SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(data.join("uniground.sqlite")).foreign_keys(false))
         .await
         .unwrap()
 }
@@ -100,7 +100,7 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
         &mut rows,
         format!(
             "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
-             SELECT '{OLD}' || value, scene_id, parse_id, body, '{LONG_AGO}' FROM answers, json_each('[1, 2, 3]') WHERE id = '{answer}';
+             SELECT '{OLD}' || value, scene_id, parse_id, body, '{LONG_AGO}' FROM answers, json_each('[1, 2, 3]') WHERE answers.id = '{answer}';
              -- Asked long after it got its id: its batch was paused.
              INSERT INTO answers (id, scene_id, parse_id, body, created_at)
              SELECT '{OLD}4', scene_id, parse_id, body, created_at FROM answers WHERE id = '{answer}';

@@ -266,10 +266,11 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
         let parse = &store.all_parses().await.unwrap()[0].id;
         assert_eq!(store.instance_names(parse, "a-model", 1).await.unwrap().len(), usize::from(version >= 2));
         store.close().await;
+        drop(store);
         let doctor = Command::new(env!("CARGO_BIN_EXE_uniground"))
             .args(["doctor", "--data-dir", folder.as_str()])
             .output()
             .unwrap();
-        assert!(doctor.status.success(), "schema {version}: {}", String::from_utf8_lossy(&doctor.stdout));
+        assert!(doctor.status.success(), "schema {version}: {}", String::from_utf8_lossy(&doctor.stderr));
     }
 }

@@ -128,10 +128,11 @@ impl FolderSink {
         {
             return Err(BackupError::NotABackup { found: stranger.file_name().to_owned(), folder });
         }
-        fs::create_dir_all(&folder).map_err(|source| BackupError::File { file: folder.clone(), source })?;
-        if folder.canonicalize_utf8()?.starts_with(data_dir.canonicalize_utf8()?) {
+        let nearest = folder.ancestors().find(|path| path.exists()).unwrap_or(Utf8Path::new("."));
+        if nearest.canonicalize_utf8()?.starts_with(data_dir.canonicalize_utf8()?) {
             return Err(BackupError::Within);
         }
+        fs::create_dir_all(&folder).map_err(|source| BackupError::File { file: folder.clone(), source })?;
         let lock = File::create(folder.join(LOCK))?;
         match lock.try_lock() {
             Ok(()) => {}
