@@ -102,6 +102,8 @@ impl Service {
     pub async fn let_go(&self, pause: Duration) -> Result<Vec<Removed>, Error> {
         let mut round = Round { service: self, pause, now: Timestamp::now(), folders: HashSet::new() };
         let Retention { answers_days, jobs_days, batches_days, idempotency_days, superseded_days, .. } = self.limits.retention;
+        // First: it looks for folders without rows, and a round that only looks leaves some.
+        let quarantine = round.quarantine().await?;
         let removed = vec![
             round.evidence().await?,
             round.rows(Aged::Answers, answers_days, "answers").await?,
@@ -111,7 +113,7 @@ impl Service {
             round.rows(Aged::IdempotencyKeys, idempotency_days, "idempotency keys").await?,
             round.superseded_parses(superseded_days).await?,
             round.checkpoints().await?,
-            round.quarantine().await?,
+            quarantine,
         ];
         for Removed { kind, entries, bytes, why } in removed.iter().filter(|removed| removed.entries > 0) {
             tracing::info!(kind, entries, bytes, why, "removed what was kept long enough");

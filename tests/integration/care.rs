@@ -174,10 +174,10 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     assert!(gone.values().all(|(_, bytes)| *bytes > 0), "{gone:?}");
 
     let mut rows = database(folder).await;
-    let jobs = ids(&mut rows, "SELECT id FROM jobs WHERE id < '1' ORDER BY id").await;
+    let jobs = ids(&mut rows, "SELECT id FROM jobs WHERE id < '018' ORDER BY id").await;
     assert_eq!(jobs, ["6", "7", "9"].map(|end| format!("{OLD}{end}")));
     assert!(ids(&mut rows, "SELECT id FROM answers").await.contains(&answer));
-    assert_eq!(ids(&mut rows, "SELECT id FROM answers WHERE id < '1'").await, [format!("{OLD}4")]);
+    assert_eq!(ids(&mut rows, "SELECT id FROM answers WHERE id < '018'").await, [format!("{OLD}4")]);
     assert_eq!(ids(&mut rows, "SELECT id FROM batches ORDER BY id").await.len(), 2);
     assert_eq!(ids(&mut rows, "SELECT key FROM idempotency_keys").await, ["new key"]);
     assert_eq!(ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NULL").await.len(), 1, "that of the scene");

@@ -106,9 +106,9 @@ async fn old_answers_go_and_new_ones_stay() {
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let mut rows = database(folder).await;
-    // Of January 2020, by its id.
+    // Of January 2020, by id and time.
     let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
-               SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, created_at FROM answers, json_each('[1,2,3]')";
+               SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, '2020-01-01T00:00:00Z' FROM answers, json_each('[1,2,3]')";
     sqlx::query(sql).execute(&mut rows).await.unwrap();
     let store = Store::open(folder).await.unwrap();
     let limits =
