@@ -1,5 +1,9 @@
 //! Configuration: every flag is also an environment variable; units are in the names.
 
+mod retention;
+
+pub use retention::RetentionConfig;
+
 use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
 use crate::inference::RemoteServer;
 use crate::service::Limits;
@@ -23,8 +27,6 @@ const DEFAULT_VLM_ATTEMPTS: u32 = 5;
 const DEFAULT_VLM_BACKOFF_MS: u64 = 1000;
 const DEFAULT_MAX_CONNECTIONS: u32 = 1024;
 const DEFAULT_KEEP_FREE_BYTES: u64 = 256 << 20;
-const DEFAULT_KEEP_ANSWERS_DAYS: u32 = 365;
-const DEFAULT_KEEP_EVIDENCE_DAYS: u32 = 30;
 
 /// `uniground serve`
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
@@ -337,12 +339,8 @@ pub struct LimitsConfig {
     /// Room on the disk that uploads, parses and batches leave to the rest, bytes
     #[arg(long, env = "UNIGROUND_KEEP_FREE_BYTES", default_value_t = DEFAULT_KEEP_FREE_BYTES)]
     pub keep_free_bytes: u64,
-    /// Days for which answers are kept; 0: for ever
-    #[arg(long, env = "UNIGROUND_KEEP_ANSWERS_DAYS", default_value_t = DEFAULT_KEEP_ANSWERS_DAYS, value_name = "DAYS")]
-    pub keep_answers_days: u32,
-    /// Days for which the pictures, prompts and replies of answers by a model are kept; 0: none are
-    #[arg(long, env = "UNIGROUND_KEEP_EVIDENCE_DAYS", default_value_t = DEFAULT_KEEP_EVIDENCE_DAYS, value_name = "DAYS")]
-    pub keep_evidence_days: u32,
+    #[command(flatten)]
+    pub retention: RetentionConfig,
 }
 
 /// What the log looks like. Its level is `RUST_LOG`'s, `info` by default.
@@ -367,8 +365,7 @@ impl Default for LimitsConfig {
             max_concurrent_questions: DEFAULT_MAX_CONCURRENT_QUESTIONS,
             max_connections: DEFAULT_MAX_CONNECTIONS,
             keep_free_bytes: DEFAULT_KEEP_FREE_BYTES,
-            keep_answers_days: DEFAULT_KEEP_ANSWERS_DAYS,
-            keep_evidence_days: DEFAULT_KEEP_EVIDENCE_DAYS,
+            retention: RetentionConfig::default(),
         }
     }
 }
@@ -381,8 +378,7 @@ impl LimitsConfig {
             unpack: UnpackLimits { max_bytes: self.max_unpacked_bytes, ..UnpackLimits::default() },
             keep_free_bytes: self.keep_free_bytes,
             max_concurrent_questions: self.max_concurrent_questions as usize,
-            keep_answers_days: self.keep_answers_days,
-            keep_evidence_days: self.keep_evidence_days,
+            retention: self.retention.settings(),
         }
     }
 }

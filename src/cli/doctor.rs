@@ -1,14 +1,11 @@
 //! `uniground doctor`: whether a data folder is whole, and what can be done where it is not. The server must not run.
 
 use super::table;
-use crate::jobs::Jobs;
-use crate::service::{Keyring, Service, Trouble};
+use crate::service::{Service, Trouble};
 use crate::store::Store;
 use crate::{config, telemetry};
 use anyhow::{Context, bail, ensure};
 use camino::Utf8PathBuf;
-use uniground_core::background;
-use uniground_core::models::neural::Models;
 
 #[derive(Debug, clap::Args)]
 pub struct DoctorArgs {
@@ -25,10 +22,7 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     let DoctorArgs { data_dir, repair } = args;
     ensure!(data_dir.is_dir(), "there is no folder {data_dir}");
     let store = Store::open_as_it_is(data_dir).await.with_context(|| format!("the data folder {data_dir}"))?;
-    let limits = config::LimitsConfig::default();
-    let jobs = Jobs::new(store.clone(), limits.max_queued_jobs);
-    let keys = Keyring::open(store.clone(), None).await?;
-    let service = Service::new(store.clone(), jobs, keys, limits.service_limits(), None, Models::default(), background::pool()?);
+    let service = Service::at_rest(store.clone(), config::LimitsConfig::default().service_limits()).await?;
     let findings = service.examine().await?;
     if findings.is_empty() {
         println!("{data_dir} is whole");

@@ -1,15 +1,18 @@
 //! The command line: one file per subcommand.
 
+mod backup;
 mod batch;
 mod demo;
 mod doctor;
 mod eval;
+mod gc;
 mod ground;
 mod key;
 mod models;
 mod openapi;
 mod parse;
 mod report_page;
+mod restore;
 mod serve;
 mod table;
 
@@ -43,6 +46,12 @@ enum Command {
     Models(models::ModelsArgs),
     /// Look whether a data folder is whole, and repair what can be
     Doctor(doctor::DoctorArgs),
+    /// Let a stopped server's folder go of everything that was kept long enough
+    Gc(Box<gc::GcArgs>),
+    /// Copy everything that is stored, also while the server runs
+    Backup(backup::BackupArgs),
+    /// Make a data folder of a backup
+    Restore(restore::RestoreArgs),
     /// Print the OpenAPI description of the service
     Openapi,
 }
@@ -62,6 +71,9 @@ pub fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Eval(args) => eval::run(args),
         Command::Models(args) => models::run(args),
         Command::Doctor(args) => asynchronous(doctor::run(args)),
+        Command::Gc(args) => asynchronous(gc::run(args)),
+        Command::Backup(args) => asynchronous(backup::run(args)),
+        Command::Restore(args) => asynchronous(restore::run(args)),
         Command::Openapi => openapi::run(),
     }
 }

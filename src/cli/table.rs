@@ -1,6 +1,6 @@
 //! Answers as tables people can read.
 
-use crate::service::Finding;
+use crate::service::{Finding, Removed};
 use comfy_table::{ContentArrangement, Table, presets};
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::{Alternative, Status};
@@ -79,8 +79,28 @@ pub fn of_keys(keys: &[Key]) -> Table {
     table
 }
 
+/// What was kept long enough.
+pub fn of_removed(removed: &[Removed]) -> Table {
+    let mut table = empty();
+    table.set_header(vec!["Kind", "Entries", "Size", "Why"]);
+    for Removed { kind, entries, bytes, why } in removed {
+        table.add_row(vec![(*kind).to_owned(), entries.to_string(), size(*bytes), why.clone()]);
+    }
+    table
+}
+
 fn day_of(at: &str) -> &str {
     at.get(..10).unwrap_or(at)
+}
+
+/// Bytes for people.
+pub fn size(bytes: u64) -> String {
+    match bytes {
+        0..1000 => format!("{bytes} bytes"),
+        1000..1_000_000 => format!("{:.1} kB", bytes as f64 / 1e3),
+        1_000_000..1_000_000_000 => format!("{:.1} MB", bytes as f64 / 1e6),
+        _ => format!("{:.1} GB", bytes as f64 / 1e9),
+    }
 }
 
 /// The tied objects of an ambiguous answer.

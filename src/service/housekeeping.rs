@@ -1,13 +1,14 @@
-//! What happens without being asked for: old answers go, stray folders are swept, damage is found before somebody meets it.
+//! What happens without being asked for: what was kept long enough goes, stray folders are swept, damage is found before somebody meets it.
 
 use super::Service;
 use crate::error::Error;
-use crate::store::{Damage, Look, Store};
-use jiff::{Timestamp, ToSpan};
+use crate::store::{Damage, Look};
 use std::time::Duration;
 use tokio::task::spawn_blocking;
 use tokio::time::sleep;
 
+/// The pause between two steps of letting go.
+const BREATH: Duration = Duration::from_millis(50);
 /// The pause between two looks at a parse's files: nobody shall notice.
 const PAUSE: Duration = Duration::from_secs(2);
 
@@ -17,9 +18,7 @@ impl Service {
     /// # Errors
     /// [`Error`] of the store; what was done stays done.
     pub async fn keep_house(&self) -> Result<(), Error> {
-        self.forget_transcripts().await?;
-        self.forget_answers().await?;
-        self.store.sweep().await?;
+        self.let_go(BREATH).await?;
         // One that was retired is known to be damaged, and kept for its answers only.
         for parse in self.store.all_parses().await?.iter().filter(|parse| !parse.is_retired()) {
             let wrong = self.look_at_parse(&parse.id, Look::Bytes).await?;
@@ -36,28 +35,5 @@ impl Service {
     pub(super) async fn look_at_parse(&self, parse_id: &str, closely: Look) -> Result<Vec<Damage>, Error> {
         let (blobs, place) = (self.store.blobs.clone(), self.store.blobs.parse(parse_id));
         Ok(spawn_blocking(move || blobs.look(&place, closely)).await??)
-    }
-
-    /// Removes answers that were kept long enough, some at a time.
-    async fn forget_answers(&self) -> Result<(), Error> {
-        let days = self.limits.keep_answers_days;
-        if days == 0 {
-            return Ok(());
-        }
-        let before = Timestamp::now().checked_sub((i64::from(days) * 24).hours()).unwrap_or(Timestamp::MIN);
-        let first = Store::first_id_at(before);
-        let mut forgotten = 0;
-        loop {
-            let answers = self.store.delete_some_answers_before(&first).await?;
-            if answers.is_empty() {
-                break;
-            }
-            forgotten += answers.len();
-            self.discard_transcripts(&answers).await?;
-        }
-        if forgotten > 0 {
-            tracing::info!(answers = forgotten, days, "removed answers that were kept long enough");
-        }
-        Ok(())
     }
 }

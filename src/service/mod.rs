@@ -14,6 +14,7 @@ mod keys;
 mod lately;
 mod names;
 mod parses;
+mod retention;
 mod scenes;
 mod stats;
 mod vlm;
@@ -25,6 +26,7 @@ pub use health::Health;
 pub use keys::{Allowance, Caller, Denied, Done, Keyring};
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};
+pub use retention::Removed;
 pub use scenes::NewScene;
 pub use vlm::{Vlm, VlmSettings};
 
@@ -42,11 +44,13 @@ use std::time::Duration;
 use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
+use uniground_core::background;
 use uniground_core::grounding::PictureCache;
 use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::models::neural::{LoadedModel, Models};
 use uniground_core::models::with_causes;
 use uniground_core::progress::{Cancelled, Progress};
+use uniground_types::stats::Retention;
 
 /// What uploads and questions may take.
 #[derive(Debug, Clone, Copy)]
@@ -57,10 +61,7 @@ pub struct Limits {
     pub keep_free_bytes: u64,
     /// Questions being answered at once; more wait their turn, shortly.
     pub max_concurrent_questions: usize,
-    /// Days for which answers are kept; 0: for ever.
-    pub keep_answers_days: u32,
-    /// Days for which prompts, replies and pictures of answers are kept; 0: none are.
-    pub keep_evidence_days: u32,
+    pub retention: Retention,
 }
 
 /// The use cases over one store. Cheap to clone.
@@ -81,6 +82,9 @@ pub struct Service {
     models: Models,
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
     content_references: Arc<Mutex<()>>,
+    /// Held while a scene takes a stored parse, or gets a job for another, so that neither the parse nor what the job goes on from is
+    /// removed meanwhile. Whoever removes holds both, this one last.
+    parse_references: Arc<Mutex<()>>,
     /// Where an inference server runs the networks.
     inference: Option<Arc<Probe>>,
     health: Lately<Health>,
@@ -111,10 +115,21 @@ impl Service {
             vlm: vlm.map(Arc::new),
             models,
             content_references: Arc::default(),
+            parse_references: Arc::default(),
             inference: None,
             health: Lately::default(),
             numbers: Numbers::default(),
         }
+    }
+
+    /// Over the folder of a server that does not run: to look after what is stored, without models.
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn at_rest(store: Store, limits: Limits) -> Result<Self, Error> {
+        let keys = Keyring::open(store.clone(), None).await?;
+        let pool = background::pool().map_err(|error| Error::Io(std::io::Error::other(error)))?;
+        Ok(Self::new(store.clone(), Jobs::new(store, 0), keys, limits, None, Models::default(), pool))
     }
 
     /// The neural models this server was started with.

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::Mutex;
-use uniground_types::stats::{DiskUse, JobStats, Retention, Spending, Stats, StoredCounts};
+use uniground_types::stats::{DiskUse, JobStats, Spending, Stats, StoredCounts};
 
 /// Numbers of the store are not newer than that,
 const AGE: Duration = Duration::from_secs(1);
@@ -60,7 +60,7 @@ impl Service {
                 blob_bytes: sizes.map(|sizes| sizes.iter().map(|(kind, bytes)| ((*kind).to_owned(), *bytes)).collect()),
                 free_bytes,
             },
-            retention: Retention { keep_answers_days: self.limits.keep_answers_days, keep_evidence_days: self.limits.keep_evidence_days },
+            retention: self.limits.retention,
         })
     }
 

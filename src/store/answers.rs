@@ -163,13 +163,4 @@ impl Store {
         let sql = "DELETE FROM answers WHERE id IN (SELECT id FROM answers WHERE scene_id = ? LIMIT 500) RETURNING id";
         Ok(sqlx::query_scalar(sql).bind(scene_id).fetch_all(self.writer.pool()).await?)
     }
-
-    /// Removes some answers that are older than an id; as [`delete_some_answers`](Self::delete_some_answers).
-    ///
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn delete_some_answers_before(&self, id: &str) -> Result<Vec<String>, StoreError> {
-        let sql = "DELETE FROM answers WHERE id IN (SELECT id FROM answers WHERE id < ? LIMIT 500) RETURNING id";
-        Ok(sqlx::query_scalar(sql).bind(id).fetch_all(self.writer.pool()).await?)
-    }
 }

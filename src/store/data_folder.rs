@@ -17,7 +17,8 @@ use std::sync::Arc;
 use uuid::Uuid;
 
 const MARKER: &str = "uniground-data.json";
-const DATABASE: &str = "uniground.sqlite";
+pub const DATABASE: &str = "uniground.sqlite";
+pub const LOCK: &str = "lock";
 const RESERVE: &str = "reserve";
 const RESERVE_BYTES: usize = 8 << 20;
 
@@ -35,7 +36,7 @@ pub(super) struct DataFolder {
     path: Utf8PathBuf,
     /// By which database and folder know each other.
     pub id: String,
-    _lock: Arc<File>,
+    _lock: Option<Arc<File>>,
 }
 
 impl DataFolder {
@@ -57,23 +58,52 @@ impl DataFolder {
                     return Err(StoreError::NotOurs { found: stranger.file_name().to_owned() });
                 }
                 let id = Uuid::new_v4().to_string();
-                let text = serde_json::to_vec_pretty(&Marker { format: 1, id: id.clone(), created_at: now() })?;
-                write_synced(&marker, &text)?;
+                mark(path, &id)?;
                 id
             }
             Err(error) => return Err(error.into()),
         };
-        let lock = File::create(path.join("lock"))?;
+        let lock = File::create(path.join(LOCK))?;
         match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(StoreError::InUse),
             Err(TryLockError::Error(error)) => return Err(error.into()),
         }
-        let folder = Self { path: path.to_owned(), id, _lock: Arc::new(lock) };
+        let folder = Self { path: path.to_owned(), id, _lock: Some(Arc::new(lock)) };
         if let Err(error) = folder.keep_reserve() {
             tracing::warn!(%error, "no room for the reserve that deleting needs on a full disk");
         }
         Ok(folder)
+    }
+
+    /// Looks at a data folder no server uses, and keeps servers away meanwhile. Nothing is written.
+    ///
+    /// # Errors
+    /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], or what the file system says.
+    pub fn look(path: &Utf8Path) -> Result<Self, StoreError> {
+        let id = Self::identity(path)?;
+        let lock = match File::open(path.join(LOCK)) {
+            Ok(lock) => Some(lock),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+            Err(error) => return Err(error.into()),
+        };
+        match lock.as_ref().map_or(Ok(()), File::try_lock) {
+            Ok(()) => Ok(Self { path: path.to_owned(), id, _lock: lock.map(Arc::new) }),
+            Err(TryLockError::WouldBlock) => Err(StoreError::InUse),
+            Err(TryLockError::Error(error)) => Err(error.into()),
+        }
+    }
+
+    /// The id of a data folder, whoever uses it; a new one where it is of before folders had ids.
+    pub fn identity(path: &Utf8Path) -> Result<String, StoreError> {
+        if !path.join(DATABASE).is_file() {
+            return Err(StoreError::NoDataFolder { folder: path.to_owned() });
+        }
+        match fs::read(path.join(MARKER)) {
+            Ok(bytes) => Ok(serde_json::from_slice::<Marker>(&bytes)?.id),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Uuid::new_v4().to_string()),
+            Err(error) => Err(error.into()),
+        }
     }
 
     pub fn database(&self) -> Utf8PathBuf {
@@ -112,9 +142,15 @@ impl DataFolder {
     }
 }
 
+/// Marks a folder as a data folder of this id.
+pub(super) fn mark(folder: &Utf8Path, id: &str) -> io::Result<()> {
+    let text = serde_json::to_vec_pretty(&Marker { format: 1, id: id.to_owned(), created_at: now() })?;
+    write_synced(&folder.join(MARKER), &text)
+}
+
 /// What systems put into empty folders.
-fn is_harmless(name: &str) -> bool {
-    name == "lost+found" || name == "lock" || name.starts_with('.')
+pub(super) fn is_harmless(name: &str) -> bool {
+    name == "lost+found" || name == LOCK || name.starts_with('.')
 }
 
 /// Writes a file as a whole: under another name first, then in its place, both on the disk.

@@ -169,13 +169,4 @@ impl Store {
         };
         rows.iter().map(entry).collect()
     }
-
-    /// Removes what was done before an id, few enough at a time that nobody waits long; how many.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn delete_some_audit_before(&self, id: &str) -> Result<u64, StoreError> {
-        let sql = "DELETE FROM audit WHERE id IN (SELECT id FROM audit WHERE id < ? LIMIT 500)";
-        Ok(sqlx::query(sql).bind(id).execute(self.writer.pool()).await?.rows_affected())
-    }
 }

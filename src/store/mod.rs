@@ -5,9 +5,11 @@
 
 mod announcements;
 mod answers;
+mod backup;
 mod batches;
 mod blobs;
 mod contents;
+mod copy;
 mod data_folder;
 mod figures;
 mod health;
@@ -16,25 +18,28 @@ mod jobs;
 mod keys;
 mod parses;
 mod records;
+mod retention;
 mod scenes;
 mod sweep;
 mod vlm;
 mod writer;
 
 pub use answers::{AnswerFilter, AnswerRow, NewAnswer};
+pub use backup::{BackedUp, BackupError, Restored, Source, Target, back_up, check, restore};
 pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, Submitted};
-pub use blobs::{Blobs, Damage, Look, Measured, Scratch};
+pub use blobs::{Blobs, Damage, KeptCheckpoints, Look, Measured, Scratch, size_of};
 pub use figures::{Figures, JobFigures};
 pub use health::StoreHealth;
 pub use jobs::{JobFilter, JobRow, JobState, NewJob, Recovery};
 pub use keys::KeyRow;
 pub use parses::{NewParse, ParseRow};
 pub use records::ParseRecord;
+pub use retention::{Aged, Before, Due};
 pub use scenes::{Inserted, NewSceneRow, SceneRow};
-pub use sweep::Strays;
+pub use sweep::{KEEP_QUARANTINE_DAYS, Strays};
 
 use answers::AnswerQueue;
-use camino::Utf8Path;
+use camino::{Utf8Path, Utf8PathBuf};
 use data_folder::DataFolder;
 use ids::Ids;
 use jiff::Timestamp;
@@ -44,6 +49,7 @@ use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePo
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
+use tempfile::TempDir;
 use tokio::task::spawn_blocking;
 use writer::Writer;
 
@@ -59,6 +65,8 @@ pub enum StoreError {
     InUse,
     #[error("it holds other things ({found}) and is no data folder of uniground's: choose an empty one")]
     NotOurs { found: String },
+    #[error("{folder} is no data folder of uniground's")]
+    NoDataFolder { folder: Utf8PathBuf },
     #[error("a stored record can not be read")]
     Record(#[from] serde_json::Error),
     /// What several writes failed of that were made as one.
@@ -111,6 +119,8 @@ pub struct Store {
     ids: Ids,
     pub blobs: Blobs,
     folder: DataFolder,
+    /// Where the database is, if this is [a copy](Self::open_copy); it goes with the last handle.
+    _copy: Option<Arc<TempDir>>,
 }
 
 /// How long SQLite waits for a lock that somebody else holds.
@@ -148,8 +158,23 @@ impl Store {
             Ok::<_, StoreError>((folder, blobs))
         });
         let (folder, blobs) = opened.await.map_err(io::Error::other)??;
+        let database = folder.database();
+        Self::connect(&database, folder, blobs).await
+    }
+
+    /// As [`open_as_it_is`](Self::open_as_it_is), where there is a store already.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open); [`StoreError::NoDataFolder`].
+    pub async fn open_known(data_dir: &Utf8Path) -> Result<Self, StoreError> {
+        DataFolder::identity(data_dir)?;
+        Self::open_as_it_is(data_dir).await
+    }
+
+    /// A store over a database, which is brought up to date.
+    async fn connect(database: &Utf8Path, folder: DataFolder, blobs: Blobs) -> Result<Self, StoreError> {
         let options = SqliteConnectOptions::new()
-            .filename(folder.database())
+            .filename(database)
             .create_if_missing(true)
             .journal_mode(SqliteJournalMode::Wal)
             // What a caller was told is stored is on the disk.
@@ -165,7 +190,7 @@ impl Store {
                       UNION ALL SELECT max(id) FROM keys UNION ALL SELECT max(id) FROM audit)";
         let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
         let answers = AnswerQueue::start(writer.clone());
-        let store = Self { reader, writer, answers, ids: Ids::after(newest.as_deref()), blobs, folder };
+        let store = Self { reader, writer, answers, ids: Ids::after(newest.as_deref()), blobs, folder, _copy: None };
         store.introduce().await?;
         Ok(store)
     }
@@ -218,13 +243,14 @@ impl Store {
 }
 
 /// What brings a database of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 6] = [
+const MIGRATIONS: [(i64, &str, &str); 7] = [
     (1, "scenes parses jobs answers", include_str!("../../migrations/0001_scenes_parses_jobs_answers.sql")),
     (2, "instance names spending", include_str!("../../migrations/0002_instance_names_spending.sql")),
     (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
     (4, "nothing lost", include_str!("../../migrations/0004_nothing_lost.sql")),
     (5, "batches", include_str!("../../migrations/0005_batches.sql")),
     (6, "keys audit lists webhooks", include_str!("../../migrations/0006_keys_audit_lists_webhooks.sql")),
+    (7, "superseded parses", include_str!("../../migrations/0007_superseded_parses.sql")),
 ];
 
 fn migrations() -> Migrator {

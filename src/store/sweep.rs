@@ -1,7 +1,7 @@
 //! What no record speaks of. It is never removed at once: a database may have been lost, replaced or restored, and then it is the database
 //! that is wrong. It goes to the quarantine, and from there after a week; not even that where the database has no standing to judge.
 
-use super::blobs::remove_tree;
+use super::blobs::{remove_tree, size_of};
 use super::{Store, StoreError, now};
 use jiff::Timestamp;
 use jiff::civil::Date;
@@ -13,6 +13,8 @@ use tokio::task::spawn_blocking;
 
 /// Days for which the quarantine keeps things.
 const QUARANTINE_DAYS: i64 = 7;
+/// Days for which the quarantine keeps things, for those who tell.
+pub const KEEP_QUARANTINE_DAYS: u32 = QUARANTINE_DAYS as u32;
 /// Names looked up at once.
 const CHUNK: usize = 500;
 
@@ -57,11 +59,11 @@ impl Store {
         Ok(strays)
     }
 
-    /// Takes what no record speaks of to the quarantine, and removes what has been there long enough.
+    /// Takes what no record speaks of to the quarantine, and removes what has been there long enough: how many days of it, and bytes.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn sweep(&self) -> Result<(), StoreError> {
+    pub async fn sweep(&self) -> Result<(u64, u64), StoreError> {
         let Strays { unclaimed, unjudged } = self.strays().await?;
         if !unjudged.is_empty() {
             let folders = unjudged.len();
@@ -75,10 +77,7 @@ impl Store {
             tracing::warn!(folders = unclaimed.len(), days = QUARANTINE_DAYS, "folders no record speaks of go to the quarantine");
             self.quarantine(unclaimed)?;
         }
-        if unjudged.is_empty() {
-            self.empty_quarantine().await?;
-        }
-        Ok(())
+        if unjudged.is_empty() { self.empty_quarantine().await } else { Ok((0, 0)) }
     }
 
     /// Takes folders out of `blobs/`, where they can still be had back.
@@ -86,6 +85,9 @@ impl Store {
     /// # Errors
     /// Those of the file system.
     pub fn quarantine(&self, folders: Vec<(&'static str, String)>) -> Result<(), StoreError> {
+        if !self.blobs.has_free_hands() {
+            return Ok(());
+        }
         let today = self.folder.path().join("quarantine").join(&now()[..10]);
         for (kind, name) in folders {
             fs::create_dir_all(today.join(kind))?;
@@ -100,22 +102,27 @@ impl Store {
         Ok(())
     }
 
-    async fn empty_quarantine(&self) -> Result<(), StoreError> {
-        let (quarantine, tmp) = (self.folder.path().join("quarantine"), self.blobs.tmp().to_owned());
+    async fn empty_quarantine(&self) -> Result<(u64, u64), StoreError> {
+        let (quarantine, blobs) = (self.folder.path().join("quarantine"), self.blobs.clone());
         let today: Date = Timestamp::now().to_zoned(jiff::tz::TimeZone::UTC).date();
         let removed = spawn_blocking(move || {
+            let (mut removed, mut bytes) = (0, 0);
             let days = match quarantine.read_dir_utf8() {
-                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok((0, 0)),
                 days => days?,
             };
             for day in days {
                 let day = day?;
                 let age = day.file_name().parse::<Date>().ok().and_then(|date| today.since(date).ok());
                 if age.is_some_and(|age| i64::from(age.get_days()) > QUARANTINE_DAYS) {
-                    remove_tree(day.path(), &tmp)?;
+                    bytes += size_of(day.path())?;
+                    removed += 1;
+                    if blobs.has_free_hands() {
+                        remove_tree(day.path(), blobs.tmp())?;
+                    }
                 }
             }
-            Ok::<_, io::Error>(())
+            Ok::<_, io::Error>((removed, bytes))
         });
         Ok(removed.await.map_err(io::Error::other)??)
     }

@@ -7,12 +7,9 @@ use sqlx::Connection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use std::fs;
 use std::process::{Command, Output};
-use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
-use uniground::jobs::Jobs;
-use uniground::service::{Keyring, Service};
+use uniground::config::{LimitsConfig, ModelsConfig, RetentionConfig, VlmConfig};
+use uniground::service::Service;
 use uniground::store::{JobState, Store};
-use uniground_core::background;
-use uniground_core::models::neural::Models;
 
 fn doctor(data: &Utf8Path, more: &[&str]) -> Output {
     let program = Command::new(env!("CARGO_BIN_EXE_uniground"))
@@ -106,16 +103,14 @@ async fn old_answers_go_and_new_ones_stay() {
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let mut rows = database(folder).await;
-    // Of January 2020, by its id.
+    // Of January 2020, by id and time.
     let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
-               SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, created_at FROM answers, json_each('[1,2,3]')";
+               SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, '2020-01-01T00:00:00Z' FROM answers, json_each('[1,2,3]')";
     sqlx::query(sql).execute(&mut rows).await.unwrap();
     let store = Store::open(folder).await.unwrap();
-    let limits = LimitsConfig { keep_answers_days: 30, ..LimitsConfig::default() };
-    let jobs = Jobs::new(store.clone(), 10);
-    let keys = Keyring::open(store.clone(), None).await.unwrap();
-    let pool = background::pool().unwrap();
-    let service = Service::new(store.clone(), jobs, keys, limits.service_limits(), None, Models::default(), pool);
+    let limits =
+        LimitsConfig { retention: RetentionConfig { keep_answers_days: 30, ..RetentionConfig::default() }, ..LimitsConfig::default() };
+    let service = Service::at_rest(store.clone(), limits.service_limits()).await.unwrap();
     service.keep_house().await.unwrap();
     let left: Vec<String> = sqlx::query_scalar("SELECT id FROM answers").fetch_all(&mut rows).await.unwrap();
     assert_eq!(left, [answer.id]);

@@ -7,8 +7,10 @@
 
 mod access;
 mod archives;
+mod backups;
 mod bad_input;
 mod batches;
+mod care;
 mod chat_models;
 mod conventions;
 mod evaluation;

@@ -185,7 +185,7 @@ async fn metrics_and_stats_tell_what_was_done() {
         assert_eq!((counted("succeeded"), counted("failed")), (f64::from(jobs.succeeded), f64::from(jobs.failed)), "{jobs:?}");
     }
     assert_eq!((stats.spending.today_usd, stats.spending.daily_limit_usd), (0.0, None));
-    assert_eq!((stats.retention.keep_answers_days, stats.version.as_str()), (365, env!("CARGO_PKG_VERSION")));
+    assert_eq!((stats.retention.answers_days, stats.version.as_str()), (365, env!("CARGO_PKG_VERSION")));
     assert!(stats.disk.database_bytes > 4096 && stats.disk.free_bytes > 0);
 
     // Sizes are measured behind everybody's back, and those of the start are of a folder that was empty.

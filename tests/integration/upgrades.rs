@@ -3,10 +3,17 @@
 use crate::server::{TestServer, ask};
 use camino::Utf8Path;
 use serde_json::Value;
+use sqlx::migrate::{Migration, MigrationType, Migrator};
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{AssertSqlSafe, Connection, SqlSafeStr};
 use std::fs;
+use std::process::Command;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
+use uniground::store::Store;
 use uniground_types::answer::{Answer, Status};
+use uniground_types::batch::{BatchResult, BatchState};
 use uniground_types::geometry::up_axis::UpAxis;
+use uniground_types::job::JobState;
 use uniground_types::scenes::{Scene, SceneStatus};
 
 /// A data folder as it was left, and what its server had told: `scene.json`, `instances.json`, `answers.jsonl`, `scan.zip`.
@@ -102,4 +109,168 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     server.client.delete_scene(&scene.id).await.unwrap();
     assert_eq!(server.stored("blobs/contents"), Vec::<String>::new());
     server.stop().await;
+}
+
+/// Every schema there was: its version, and the migration that made it of the one before.
+fn migrations() -> Vec<(i64, String)> {
+    let folder = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("migrations");
+    let files = folder.read_dir_utf8().unwrap().map(|file| file.unwrap().into_path());
+    let mut migrations: Vec<_> = files
+        .map(|file| (file.file_name().unwrap()[..4].parse().unwrap(), fs::read_to_string(&file).unwrap()))
+        .collect();
+    migrations.sort();
+    migrations
+}
+
+/// What tables of later schemas than the fixture's held, each with the table it is about; ids of the fixture stand in for `SCENE`, `PARSE` and
+/// `ANSWER`. A migration that makes a table adds a row here.
+const LATER_ROWS: &[(&str, &str)] = &[
+    (
+        "instance_names",
+        "INSERT INTO instance_names VALUES ('PARSE', 'a-model', 1, 1, 'crate', '2026-11-20T00:00:00Z')",
+    ),
+    ("spending", "INSERT INTO spending VALUES ('2026-11-20', 0.5)"),
+    ("data_folder", "INSERT INTO data_folder VALUES ('a-folder', '2026-11-20T00:00:00Z')"),
+    ("reservations", "INSERT INTO reservations (id, day, usd) VALUES ('r', '2026-11-20', 0.25)"),
+    (
+        "batches",
+        "INSERT INTO batches (id, label, state, items, created_at, finished_at)
+         VALUES ('01a1ff70-0000-7000-8000-000000000001', 'monday', 'succeeded', 1, '2026-11-20T00:00:00Z', '2026-11-20T00:00:00Z')",
+    ),
+    (
+        "batch_items",
+        "INSERT INTO batch_items (batch_id, item, scene_id, request, answer_id, status)
+         VALUES ('01a1ff70-0000-7000-8000-000000000001', 0, 'SCENE', '{\"query\": \"the red coffee table\"}', 'ANSWER', 'grounded')",
+    ),
+    (
+        "keys",
+        "INSERT INTO keys (id, name, prefix, hash, scope, created_at)
+         VALUES ('01a1ff70-0000-7000-8000-000000000002', 'robot', 'ug_1', '00', 'read', '2026-11-20T00:00:00Z')",
+    ),
+    ("key_spending", "INSERT INTO key_spending VALUES ('01a1ff70-0000-7000-8000-000000000002', '2026-11-20', 0.1)"),
+    (
+        "audit",
+        "INSERT INTO audit (id, at, method, path, status)
+         VALUES ('01a1ff70-0000-7000-8000-000000000003', '2026-11-20T00:00:00Z', 'POST', '/v1/scenes', 202)",
+    ),
+];
+
+async fn open(database: &Utf8Path) -> SqliteConnection {
+    SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(database).create_if_missing(true))
+        .await
+        .unwrap()
+}
+
+async fn texts(rows: &mut SqliteConnection, sql: String) -> Vec<String> {
+    sqlx::query_scalar(AssertSqlSafe(sql)).fetch_all(rows).await.unwrap()
+}
+
+async fn tables(rows: &mut SqliteConnection, of: &str) -> Vec<String> {
+    let sql =
+        format!("SELECT name FROM {of}.sqlite_schema WHERE type = 'table' AND name NOT LIKE '!_%' ESCAPE '!' AND name NOT LIKE 'sqlite%'");
+    texts(rows, sql).await
+}
+
+/// Makes the fixture's database one of another schema, with the fixture's rows and some in every table it did not have.
+async fn rebuild(data: &Utf8Path, schema: &[(i64, String)]) {
+    let (old, new) = (data.join("uniground.sqlite"), data.join("new.sqlite"));
+    let mut rows = open(&new).await;
+    let made = schema.iter().map(|(version, sql)| {
+        Migration::new(*version, "a step".into(), MigrationType::Simple, AssertSqlSafe(sql.clone()).into_sql_str(), false)
+    });
+    Migrator::with_migrations(made.collect()).run(&mut rows).await.unwrap();
+    for sql in ["PRAGMA foreign_keys = OFF".to_owned(), format!("ATTACH '{old}' AS old")] {
+        sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
+    }
+    for table in tables(&mut rows, "old").await {
+        let shared =
+            format!("SELECT name FROM pragma_table_info('{table}', 'old') INTERSECT SELECT name FROM pragma_table_info('{table}', 'main')");
+        let columns = texts(&mut rows, shared).await.join(", ");
+        if !columns.is_empty() {
+            let copy = format!("INSERT INTO main.{table} ({columns}) SELECT {columns} FROM old.{table}");
+            sqlx::raw_sql(AssertSqlSafe(copy)).execute(&mut rows).await.unwrap();
+        }
+    }
+    let [scene, parse, answer] = ["SELECT id FROM scenes", "SELECT id FROM parses", "SELECT min(id) FROM answers"];
+    let mut ids = Vec::new();
+    for sql in [scene, parse, answer] {
+        ids.push(texts(&mut rows, sql.to_owned()).await.remove(0));
+    }
+    for table in tables(&mut rows, "main").await {
+        if let Some((_, sql)) = LATER_ROWS.iter().find(|(about, _)| *about == table) {
+            let sql = sql.replace("SCENE", &ids[0]).replace("PARSE", &ids[1]).replace("ANSWER", &ids[2]);
+            sqlx::raw_sql(AssertSqlSafe(sql)).execute(&mut rows).await.unwrap();
+        }
+        let filled = texts(&mut rows, format!("SELECT 'x' FROM {table} LIMIT 1")).await;
+        assert!(!filled.is_empty(), "{table} is a table without rows: LATER_ROWS wants one for it");
+    }
+    rows.close().await.unwrap();
+    for beside in ["-wal", "-shm"] {
+        let _ = fs::remove_file(format!("{old}{beside}"));
+    }
+    fs::rename(&new, &old).unwrap();
+}
+
+/// Whatever version somebody comes from: what was there is served as it was.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
+    let migrations = migrations();
+    for to in 1..=migrations.len() {
+        let (schema, version) = (&migrations[..to], migrations[to - 1].0);
+        let left = Left::unpack("data-2026-11-20.tar.zst");
+        let (answers, scan) = (String::from_utf8(left.told("answers.jsonl")).unwrap(), left.told("scan.zip"));
+        let instances: Value = serde_json::from_slice(&left.told("instances.json")).unwrap();
+        let Left { data, told: _told } = left;
+        let folder = Utf8Path::from_path(data.path()).unwrap();
+        rebuild(folder, schema).await;
+        let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+        let client = &server.client;
+        let [scene]: [Scene; 1] = client.scenes(10, None).await.unwrap().scenes.try_into().unwrap();
+        assert_eq!(
+            (scene.name.as_str(), scene.status, scene.parse_version),
+            ("A block", SceneStatus::Ready, 1),
+            "schema {version}"
+        );
+        let found = client.instances(&scene.id, 1000).await.unwrap().instances.len();
+        assert_eq!(found, instances["instances"].as_array().unwrap().len(), "schema {version}");
+        for answer in answers.lines() {
+            let told: Answer = serde_json::from_str(answer).unwrap();
+            let stored = client.bytes(&format!("v1/answers/{}", told.id)).await.unwrap();
+            assert_eq!(String::from_utf8(stored).unwrap(), answer, "schema {version}");
+        }
+        assert_eq!(client.job(scene.job_id.as_deref().unwrap()).await.unwrap().state, JobState::Succeeded);
+        let same = client.create_scene_once("x", "application/zip", scan, "block").await.unwrap();
+        assert_eq!(same.scene.id, scene.id, "schema {version}: its key is remembered");
+        let batches = client.batches(10, None).await.unwrap().batches;
+        assert_eq!(batches.len(), usize::from(version >= 5));
+        for batch in batches {
+            assert_eq!((batch.state, batch.label.as_deref(), batch.done), (BatchState::Succeeded, Some("monday"), 1));
+            let mut answered: Vec<BatchResult> = Vec::new();
+            let take = |_: &[u8], result| {
+                answered.push(result);
+                Ok::<(), uniground_client::ClientError>(())
+            };
+            client.batch_results(&batch.id, 0, false, take).await.unwrap();
+            assert!(answered[0].answer.is_some(), "schema {version}");
+        }
+        let data = server.give_back().await;
+        let folder = Utf8Path::from_path(data.path()).unwrap();
+        let store = Store::open(folder).await.unwrap();
+        // What was put aside for calls that a server did not live to see is spent.
+        let spent = [(2, 0.5), (4, 0.25)]
+            .into_iter()
+            .filter(|(since, _)| version >= *since)
+            .map(|(_, usd)| usd)
+            .sum::<f64>();
+        assert_eq!(store.spent_on("2026-11-20").await.unwrap(), spent, "schema {version}");
+        let parse = &store.all_parses().await.unwrap()[0].id;
+        assert_eq!(store.instance_names(parse, "a-model", 1).await.unwrap().len(), usize::from(version >= 2));
+        store.close().await;
+        drop(store);
+        let doctor = Command::new(env!("CARGO_BIN_EXE_uniground"))
+            .args(["doctor", "--data-dir", folder.as_str()])
+            .output()
+            .unwrap();
+        assert!(doctor.status.success(), "schema {version}: {}", String::from_utf8_lossy(&doctor.stderr));
+    }
 }

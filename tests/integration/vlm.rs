@@ -5,7 +5,7 @@ use crate::server::{TestServer, ask, finished, problem};
 use serde_json::{Value, json};
 use std::fs;
 use std::time::Duration;
-use uniground::config::{LimitsConfig, VlmConfig};
+use uniground::config::{LimitsConfig, RetentionConfig, VlmConfig};
 use uniground_core::grounding::Status;
 use uniground_types::answer::Answer;
 use uniground_types::instances::Levels;
@@ -413,7 +413,8 @@ async fn a_caller_who_leaves_stops_the_call() {
 async fn what_is_not_to_be_kept_is_not() {
     let script = Script::default();
     let vlm = config(&script.serve(vec![says("Predicted ID: none\nExplanation: x")]).await);
-    let limits = LimitsConfig { keep_evidence_days: 0, ..LimitsConfig::default() };
+    let limits =
+        LimitsConfig { retention: RetentionConfig { keep_evidence_days: 0, ..RetentionConfig::default() }, ..LimitsConfig::default() };
     let server = TestServer::start_configured(limits, vlm).await;
     let scene = server.parsed(sample()).await.id;
     let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();

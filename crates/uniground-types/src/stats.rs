@@ -88,12 +88,45 @@ pub struct DiskUse {
     pub free_bytes: u64,
 }
 
-/// How long things are kept.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+/// How long things are kept, in days, and how much of what only saves time. 0 days: for ever, except for evidence.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Retention {
-    /// Days for answers; 0: for ever.
-    pub keep_answers_days: u32,
-    /// Days for what models were shown and said; 0: not at all.
-    pub keep_evidence_days: u32,
+    /// Answers.
+    pub answers_days: u32,
+    /// Prompts, replies and pictures of answers; 0: none are kept.
+    pub evidence_days: u32,
+    /// Jobs that are over and that no scene and no batch refers to.
+    pub jobs_days: u32,
+    /// Batches that are over, with their items.
+    pub batches_days: u32,
+    /// Idempotency keys of uploads.
+    pub idempotency_days: u32,
+    /// What was done, and with whose key.
+    pub audit_days: u32,
+    /// Parses, from when no scene and no answer refers to them.
+    pub superseded_days: u32,
+    /// Finished stages of parses, from their last use.
+    pub checkpoints_days: u32,
+    /// Of all finished stages together; those go first that were not used for longest.
+    pub checkpoints_bytes: u64,
+    /// Folders no record speaks of; not a setting.
+    pub quarantine_days: u32,
+}
+
+impl Default for Retention {
+    fn default() -> Self {
+        Self {
+            answers_days: 365,
+            evidence_days: 30,
+            jobs_days: 90,
+            batches_days: 90,
+            idempotency_days: 30,
+            audit_days: 365,
+            superseded_days: 30,
+            checkpoints_days: 14,
+            checkpoints_bytes: 20 << 30,
+            quarantine_days: 7,
+        }
+    }
 }

@@ -220,7 +220,7 @@ impl Service {
             timings_ms,
         } = grounding;
         let mut evidence = vec![transcripts::picture_path(&id, pictures::GLOBAL)];
-        if self.limits.keep_evidence_days > 0 {
+        if self.limits.retention.evidence_days > 0 {
             let shown = transcripts::pictures(&calls).into_iter().filter(|name| *name != pictures::GLOBAL);
             evidence.extend(shown.map(|name| transcripts::picture_path(&id, name)));
         }

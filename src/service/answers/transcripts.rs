@@ -6,7 +6,6 @@ use crate::store::Scratch;
 use camino::Utf8Path;
 use std::collections::BTreeSet;
 use std::fs;
-use std::time::{Duration, SystemTime};
 use tokio::task::spawn_blocking;
 use uniground_core::models::chat::{CallRecord, Part};
 use uniground_types::answer::Answer;
@@ -31,7 +30,7 @@ pub(super) fn pictures(records: &[CallRecord]) -> BTreeSet<&str> {
 impl Service {
     /// Writes down what was asked and said.
     pub(super) async fn keep_transcript(&self, answer: &Answer, model: &str, records: Vec<CallRecord>) -> Result<(), Error> {
-        if records.is_empty() || self.limits.keep_evidence_days == 0 {
+        if records.is_empty() || self.limits.retention.evidence_days == 0 {
             return Ok(());
         }
         let (blobs, id, model) = (self.store.blobs.clone(), answer.id.clone(), model.to_owned());
@@ -76,20 +75,6 @@ impl Service {
     pub(in crate::service) async fn discard_transcripts(&self, answers: &[String]) -> Result<(), Error> {
         let folders = answers.iter().map(|answer| self.store.blobs.answer(answer)).collect();
         self.store.blobs.remove_later(self.store.blobs.set_aside(folders).await?);
-        Ok(())
-    }
-
-    /// Removes what was kept longer than the operator wants.
-    ///
-    /// # Errors
-    /// Those of the file system.
-    pub async fn forget_transcripts(&self) -> Result<(), Error> {
-        const DAY: Duration = Duration::from_hours(24);
-        let (blobs, days) = (self.store.blobs.clone(), self.limits.keep_evidence_days);
-        let forgotten = spawn_blocking(move || blobs.forget_answers(DAY * days, SystemTime::now())).await??;
-        if forgotten > 0 {
-            tracing::info!(answers = forgotten, days, "removed prompts, replies and pictures that were kept long enough");
-        }
         Ok(())
     }
 }

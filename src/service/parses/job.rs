@@ -4,10 +4,9 @@ use super::{files, settings_hash};
 use crate::error::Error;
 use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
 use crate::service::{Service, job_failure};
-use crate::store::{NewParse, Scratch};
+use crate::store::{NewParse, SceneRow, Scratch};
 use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
-use std::fs;
 use std::time::{Duration, Instant};
 use tokio::task::spawn_blocking;
 use uniground_core::geometry::up_axis::UpAxis;
@@ -60,18 +59,17 @@ impl Service {
     async fn run_parse(&self, JobContext { id: job_id, payload, progress }: JobContext<Payload>) -> Result<String, Error> {
         let Payload { scene_id, settings } = payload;
         let scene = self.scene_row(&scene_id).await?;
-        if let Some(parse_id) = self.stored_parse(&scene.content_hash, &settings).await? {
-            self.store.set_scene_parse(&scene_id, &parse_id, &job_id).await?;
+        if self.take_stored_parse(&scene, &settings, &job_id).await? {
             return Ok(STORED_PARSE_USED.into());
         }
-        let (content, kept_in) = (self.store.blobs.content(&scene.content_hash), self.store.blobs.checkpoints(&scene.content_hash));
+        let (content, hash) = (self.store.blobs.content(&scene.content_hash), scene.content_hash.clone());
         // Every stage works on what the import made of the content.
         let origin = serde_json::to_string(&(STAGE_1_VERSION, &scene.content_hash, &settings.import))?;
         let (blobs, pool, models, job_settings) = (self.store.blobs.clone(), self.parsing.clone(), self.models.clone(), settings.clone());
         let (span, new_id, start) = (tracing::Span::current(), self.store.new_id(), Instant::now());
         let work = move || {
             let _entered = span.enter();
-            fs::create_dir_all(&kept_in)?;
+            let kept_in = blobs.use_checkpoints(&hash)?;
             let (folder, checkpoints) = (blobs.scratch()?, Checkpoints::kept_in(&kept_in, &origin));
             // In the pool of parses: what it does in parallel stays there, and gives way.
             let scan = pool.install(|| parse_content(&content, &job_settings, &models, &checkpoints, &folder, &progress))?;
@@ -95,22 +93,30 @@ impl Service {
                 instances: &parsed.instances,
             })
             .await?;
-        let parse_id = if inserted {
-            id
+        if inserted {
+            self.store.set_scene_parse(&scene_id, &id, &job_id).await?;
         } else {
             // Somebody parsed the same meanwhile, or the scene is gone.
             self.store.blobs.discard(self.store.blobs.parse(&id)).await?;
-            self.stored_parse(&scene.content_hash, &settings)
-                .await?
-                .ok_or(Error::SceneNotFound { id: scene_id.clone() })?
-        };
-        self.store.set_scene_parse(&scene_id, &parse_id, &job_id).await?;
+            if !self.take_stored_parse(&scene, &settings, &job_id).await? {
+                return Err(Error::SceneNotFound { id: scene_id });
+            }
+        }
         let report = &parsed.report;
         let computed = report.stages.iter().filter(|stage| !stage.reused);
         self.metrics
             .questions
             .parsed(start.elapsed(), computed.map(|stage| (stage.stage.as_str(), stage.seconds)));
         Ok(format!("{} instances from {} points and {} frames", report.instances, report.points, report.frames_used))
+    }
+
+    /// Makes a stored parse of the same content and settings the scene's own, where there is one.
+    async fn take_stored_parse(&self, scene: &SceneRow, settings: &ParseSettings, job_id: &str) -> Result<bool, Error> {
+        // It stays until the scene refers to it.
+        let _references = self.parse_references.lock().await;
+        let Some(parse_id) = self.stored_parse(&scene.content_hash, settings).await? else { return Ok(false) };
+        self.store.set_scene_parse(&scene.id, &parse_id, job_id).await?;
+        Ok(true)
     }
 }
 

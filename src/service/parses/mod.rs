@@ -38,6 +38,8 @@ impl Service {
     /// [`Error`] when the scene is unknown or the queue is full.
     pub async fn start_parse(&self, scene_id: &str, settings: &ParseSettings, caller: &Caller) -> Result<Job, Error> {
         let scene = self.scene_row(scene_id).await?;
+        // A stored parse stays until the scene refers to it.
+        let _references = self.parse_references.lock().await;
         let wanted = self.wanted_parse(&scene.id, &scene.content_hash, settings, caller).await?;
         if wanted.stored.is_none() {
             self.check_disk(0)?;

@@ -7,7 +7,7 @@ use std::fmt::Write;
 use std::fs::{self, File};
 use std::io::{self, Read};
 
-const SUMS: &str = ".sha256sums";
+pub const SUMS: &str = ".sha256sums";
 /// Folders with more files are put on the disk together with everything else.
 const SYNC_ONE_BY_ONE: usize = 64;
 
@@ -30,7 +30,7 @@ pub enum Look {
 }
 
 /// Writes down what `folder` holds and puts all of it on the disk.
-pub(super) fn seal(folder: &Utf8Path) -> io::Result<()> {
+pub fn seal(folder: &Utf8Path) -> io::Result<()> {
     let files = files_below(folder)?;
     let mut sums = String::new();
     for file in &files {
@@ -48,18 +48,18 @@ pub(super) fn seal(folder: &Utf8Path) -> io::Result<()> {
 }
 
 #[cfg(target_os = "linux")]
-fn sync_everything(folder: &Utf8Path) -> io::Result<()> {
+pub fn sync_everything(folder: &Utf8Path) -> io::Result<()> {
     Ok(rustix::fs::syncfs(File::open(folder)?)?)
 }
 
 #[cfg(not(target_os = "linux"))]
-fn sync_everything(_: &Utf8Path) -> io::Result<()> {
+pub fn sync_everything(_: &Utf8Path) -> io::Result<()> {
     rustix::fs::sync();
     Ok(())
 }
 
 /// What is wrong with a folder; nothing where nothing was written down about it, as long as it is there.
-pub(super) fn look(folder: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
+pub fn look(folder: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
     let sums = match fs::read_to_string(folder.join(SUMS)) {
         Ok(sums) => sums,
         // A folder of before there were sums.
@@ -91,7 +91,7 @@ pub(super) fn look(folder: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> 
 }
 
 /// What is wrong with one file of a folder; nothing where nothing was written down about it.
-pub(super) fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<Damage>> {
+pub fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<Damage>> {
     let sums = match fs::read_to_string(folder.join(SUMS)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         sums => sums?,
@@ -105,7 +105,7 @@ fn damage(file: &str, what: &str) -> Damage {
 }
 
 /// Plain files below a folder, sorted; without the sums.
-fn files_below(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
+pub fn files_below(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
     let (mut files, mut folders) = (Vec::new(), vec![Utf8PathBuf::new()]);
     while let Some(below) = folders.pop() {
         for entry in folder.join(&below).read_dir_utf8()? {
@@ -122,7 +122,7 @@ fn files_below(folder: &Utf8Path) -> io::Result<Vec<Utf8PathBuf>> {
     Ok(files)
 }
 
-fn hash_of(file: &Utf8Path) -> io::Result<String> {
+pub fn hash_of(file: &Utf8Path) -> io::Result<String> {
     let (mut source, mut hasher, mut buffer) = (File::open(file)?, Sha256::new(), vec![0; 256 << 10]);
     loop {
         let n = source.read(&mut buffer)?;

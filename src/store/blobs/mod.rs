@@ -10,9 +10,11 @@
 //! A folder is written under `tmp/`, put on the disk, and moved into place as a whole; the row that speaks of it comes last. So a blob
 //! that can be seen is complete, and a row that can be seen has its blob, also after the power has failed.
 
-mod checksums;
+mod aging;
+pub(super) mod checksums;
 mod sizes;
 
+pub use aging::{KeptCheckpoints, size_of};
 pub use checksums::{Damage, Look};
 pub use sizes::Measured;
 
@@ -20,7 +22,6 @@ use super::data_folder::sync_folder;
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
 use std::io;
-use std::time::{Duration, SystemTime};
 use tokio::task::spawn_blocking;
 use uuid::Uuid;
 
@@ -28,6 +29,15 @@ use uuid::Uuid;
 pub struct Blobs {
     root: Utf8PathBuf,
     tmp: Utf8PathBuf,
+    hands: Hands,
+}
+
+/// Whether what is done with folders is done, or only thought through.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Hands {
+    Free,
+    /// Nothing that is there is moved or removed.
+    Tied,
 }
 
 /// A folder being written, or one on its way out.
@@ -58,11 +68,21 @@ pub const KINDS: [&str; 4] = ["contents", "parses", "checkpoints", "answers"];
 
 impl Blobs {
     pub(super) fn open(data_dir: &Utf8Path) -> io::Result<Self> {
-        let blobs = Self { root: data_dir.join("blobs"), tmp: data_dir.join("tmp") };
+        let blobs = Self { root: data_dir.join("blobs"), tmp: data_dir.join("tmp"), hands: Hands::Free };
         for folder in KINDS.map(|kind| blobs.root.join(kind)).iter().chain([&blobs.tmp]) {
             fs::create_dir_all(folder)?;
         }
         Ok(blobs)
+    }
+
+    /// Folders that are looked at and stay as they are, whatever is asked: nothing goes out of the way, nothing to the quarantine.
+    pub(super) fn look_only(data_dir: &Utf8Path) -> Self {
+        Self { root: data_dir.join("blobs"), tmp: data_dir.join("tmp"), hands: Hands::Tied }
+    }
+
+    /// Whether folders may be moved and removed.
+    pub(super) fn has_free_hands(&self) -> bool {
+        self.hands == Hands::Free
     }
 
     /// What an earlier server left under `tmp/`, to be removed when it is dropped.
@@ -77,7 +97,11 @@ impl Blobs {
     /// Folders of a kind, by name. What is no folder is none of ours and passed over.
     pub(super) fn names(&self, kind: &str) -> io::Result<Vec<String>> {
         let mut names = Vec::new();
-        for entry in self.root.join(kind).read_dir_utf8()? {
+        let folder = self.root.join(kind);
+        if !self.has_free_hands() && !folder.is_dir() {
+            return Ok(names);
+        }
+        for entry in folder.read_dir_utf8()? {
             let entry = entry?;
             if entry.file_type()?.is_dir() {
                 names.push(entry.file_name().to_owned());
@@ -127,23 +151,6 @@ impl Blobs {
     #[must_use]
     pub fn answer(&self, id: &str) -> Utf8PathBuf {
         self.place("answers", id)
-    }
-
-    /// Removes what was kept for answers whose folder is older.
-    ///
-    /// # Errors
-    /// Those of the file system.
-    pub fn forget_answers(&self, older_than: Duration, now: SystemTime) -> io::Result<usize> {
-        let mut forgotten = 0;
-        for name in self.names("answers")? {
-            let folder = self.answer(&name);
-            let age = now.duration_since(fs::metadata(&folder)?.modified()?).unwrap_or_default();
-            if age > older_than {
-                remove_tree(&folder, &self.tmp)?;
-                forgotten += 1;
-            }
-        }
-        Ok(forgotten)
     }
 
     /// Folder for files being received, on the same file system as the blobs.
@@ -211,6 +218,9 @@ impl Blobs {
     /// # Errors
     /// Those of the file system.
     pub async fn set_aside(&self, folders: Vec<Utf8PathBuf>) -> io::Result<Vec<Scratch>> {
+        if !self.has_free_hands() {
+            return Ok(Vec::new());
+        }
         let blobs = self.clone();
         spawn_blocking(move || {
             let taken = folders.iter().map(|folder| blobs.take_away(folder));
@@ -269,19 +279,6 @@ mod tests {
 
     fn opened(data: &tempfile::TempDir) -> Blobs {
         Blobs::open(Utf8Path::from_path(data.path()).unwrap()).unwrap()
-    }
-
-    #[test]
-    fn what_was_kept_long_enough_goes() {
-        let data = tempfile::tempdir().unwrap();
-        let blobs = opened(&data);
-        for id in ["a", "b"] {
-            fs::create_dir(blobs.answer(id)).unwrap();
-        }
-        let (day, now) = (Duration::from_hours(24), SystemTime::now());
-        assert_eq!(blobs.forget_answers(day, now + day / 2).unwrap(), 0);
-        assert_eq!(blobs.forget_answers(day, now + day * 2).unwrap(), 2);
-        assert!(!blobs.answer("a").exists());
     }
 
     /// Thousands of folders, one in another, with names that make their path longer than any path may be.

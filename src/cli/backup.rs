@@ -1,0 +1,34 @@
+//! `uniground backup`: a consistent copy of a data folder, while its server runs.
+
+use super::table::size;
+use crate::store::{BackedUp, Target, back_up};
+use crate::telemetry;
+use anyhow::bail;
+use camino::Utf8PathBuf;
+use std::time::Instant;
+
+#[derive(Debug, clap::Args)]
+pub struct BackupArgs {
+    /// A folder, which is brought up to date if it is an earlier backup; or an archive: NAME.tar, NAME.tar.zst, - for standard output
+    to: Utf8PathBuf,
+    /// Folder of the server, which may run
+    #[arg(long, env = "UNIGROUND_DATA_DIR", default_value = "./data")]
+    data_dir: Utf8PathBuf,
+}
+
+pub async fn run(BackupArgs { to, data_dir }: &BackupArgs) -> anyhow::Result<()> {
+    telemetry::start_quiet();
+    let begun = Instant::now();
+    let done = back_up(data_dir, Target::of(to)).await?;
+    let BackedUp { scenes, answers, folders, bytes, new_folders, new_bytes, left_out } = done;
+    // Standard output may be the backup itself.
+    eprintln!("{to}: {scenes} scenes, {answers} answers, {folders} folders, {}", size(bytes));
+    eprintln!("new: {new_folders} folders, {}, in {:.1} s", size(new_bytes), begun.elapsed().as_secs_f32());
+    for (folder, what) in &left_out {
+        eprintln!("left out: {folder}: {what}");
+    }
+    match left_out.len() {
+        0 => Ok(()),
+        n => bail!("{n} folders are lost or damaged and not in the backup: see uniground doctor --data-dir {data_dir}"),
+    }
+}

@@ -1,0 +1,59 @@
+//! `uniground gc`: lets a stopped server's folder go of everything that was kept long enough.
+
+use super::table;
+use crate::config::{LimitsConfig, RetentionConfig};
+use crate::service::Service;
+use crate::store::Store;
+use crate::telemetry;
+use anyhow::Context;
+use camino::Utf8PathBuf;
+use serde_json::json;
+use std::time::Duration;
+
+#[derive(Debug, clap::Args)]
+pub struct GcArgs {
+    /// Folder of the server, which must not run
+    #[arg(long, env = "UNIGROUND_DATA_DIR", default_value = "./data")]
+    data_dir: Utf8PathBuf,
+    /// Only tell what would go; nothing is written
+    #[arg(long)]
+    dry_run: bool,
+    /// As JSON
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    retention: RetentionConfig,
+}
+
+pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
+    telemetry::start_quiet();
+    let GcArgs { data_dir, dry_run, json: as_json, retention } = args;
+    let opened = match dry_run {
+        true => Store::open_copy(data_dir).await,
+        false => Store::open_known(data_dir).await,
+    };
+    let store = opened.with_context(|| format!("the data folder {data_dir}"))?;
+    let limits = LimitsConfig { retention: retention.clone(), ..LimitsConfig::default() };
+    let service = Service::at_rest(store.clone(), limits.service_limits()).await?;
+    let removed = service.let_go(Duration::ZERO).await?;
+    let (entries, bytes) = removed.iter().fold((0, 0), |(entries, bytes), one| (entries + one.entries, bytes + one.bytes));
+    if *as_json {
+        println!(
+            "{}",
+            json!({"dry_run": dry_run, "entries": entries, "bytes": bytes, "removed": removed, "retention": retention.settings()})
+        );
+    } else {
+        println!("{}", table::of_removed(&removed));
+        let verb = if *dry_run { "would go" } else { "gone" };
+        println!("{verb}: {entries} entries, {}", table::size(bytes));
+    }
+    drop(service);
+    if !dry_run && entries > 0 {
+        store
+            .compact()
+            .await
+            .context("what was removed is gone, but the database could not give its room back to the disk")?;
+    }
+    store.close().await;
+    Ok(())
+}

@@ -1,0 +1,36 @@
+//! `uniground restore`: a data folder from a backup.
+
+use super::table::size;
+use crate::store::{Restored, Source, check, restore};
+use crate::telemetry;
+use anyhow::bail;
+use camino::Utf8PathBuf;
+
+#[derive(Debug, clap::Args)]
+pub struct RestoreArgs {
+    /// The backup: a folder, an archive, or - for an archive on standard input
+    from: Utf8PathBuf,
+    /// Folder to restore to: empty, or not there yet
+    #[arg(long, env = "UNIGROUND_DATA_DIR", required_unless_present = "check")]
+    data_dir: Option<Utf8PathBuf>,
+    /// Only look whether every byte of the backup is as it was written
+    #[arg(long)]
+    check: bool,
+}
+
+pub async fn run(RestoreArgs { from, data_dir, check: only_check }: &RestoreArgs) -> anyhow::Result<()> {
+    telemetry::start_quiet();
+    let source = Source::of(from);
+    let (restored, done) = match data_dir {
+        _ if *only_check => (check(source).await?, format!("{from} is whole")),
+        Some(data_dir) => (restore(source, data_dir).await?, format!("restored to {data_dir}")),
+        None => bail!("--data-dir: where to restore to"),
+    };
+    let Restored { taken_at, program, scenes, answers, folders, bytes, left_out } = restored;
+    println!("{done}: {scenes} scenes, {answers} answers, {folders} folders, {}", size(bytes));
+    println!("as it was at {taken_at}, by uniground {program}");
+    for (folder, what) in left_out {
+        println!("not in the backup: {folder}: {what}");
+    }
+    Ok(())
+}

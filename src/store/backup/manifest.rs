@@ -1,0 +1,150 @@
+//! What belongs to a backup.
+
+use super::{BackupError, KINDS};
+use camino::{Utf8Component, Utf8Path};
+use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
+use sha2::{Digest, Sha256};
+use std::io;
+
+pub const FILE: &str = "manifest.json";
+pub const FORMAT: u32 = 1;
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Manifest {
+    /// Version of this layout.
+    pub format: u32,
+    /// Version of the program that made it.
+    pub program: String,
+    /// Of the database: its last migration.
+    pub schema: i64,
+    /// When the database was as it is here.
+    pub taken_at: String,
+    /// Id of the data folder it was taken of.
+    pub data_folder: String,
+    pub database: Database,
+    pub scenes: u64,
+    pub answers: u64,
+    pub folders: Vec<Kept>,
+    /// What was lost or damaged before the backup was taken.
+    pub left_out: Vec<LeftOut>,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Database {
+    pub file: String,
+    pub sha256: String,
+    pub bytes: u64,
+}
+
+/// A published folder in the backup.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Kept {
+    pub kind: String,
+    pub name: String,
+    /// SHA-256 of its `.sha256sums`, which has those of its files.
+    pub sha256: String,
+    pub files: u64,
+    pub bytes: u64,
+    /// When it was published, seconds since 1970: what is kept for a time only is not younger for having been restored.
+    pub published_s: u64,
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LeftOut {
+    pub folder: String,
+    pub why: String,
+}
+
+/// A manifest with its own sum: what is wrong with it can be told too.
+#[derive(Serialize, Deserialize)]
+struct Sealed {
+    sha256: String,
+    backup: Box<RawValue>,
+}
+
+impl Manifest {
+    pub fn sealed(&self) -> io::Result<Vec<u8>> {
+        let text = serde_json::to_string(self)?;
+        let sha256 = hex(&Sha256::digest(&text));
+        Ok(serde_json::to_vec(&Sealed { sha256, backup: RawValue::from_string(text)? })?)
+    }
+
+    /// Reads a manifest and looks whether it can be believed: sums fit, names lead nowhere else.
+    pub fn open(bytes: &[u8]) -> Result<Self, BackupError> {
+        let damaged = |what: &str| BackupError::Damaged { what: format!("{FILE}: {what}") };
+        let Sealed { sha256, backup } = serde_json::from_slice(bytes).map_err(|_| damaged("it can not be read"))?;
+        if hex(&Sha256::digest(backup.get())) != sha256 {
+            return Err(damaged("it is not what was written"));
+        }
+        let manifest: Self = serde_json::from_str(backup.get()).map_err(|error| BackupError::Unknown { why: error.to_string() })?;
+        if manifest.format != FORMAT {
+            return Err(BackupError::Newer { program: manifest.program });
+        }
+        let strange = manifest
+            .folders
+            .iter()
+            .find(|kept| !KINDS.contains(&kept.kind.as_str()) || !is_plain_name(&kept.name));
+        if let Some(Kept { kind, name, .. }) = strange {
+            return Err(damaged(&format!("it names {kind}/{name}")));
+        }
+        if !is_plain_name(&manifest.database.file) {
+            return Err(damaged("it names no database"));
+        }
+        Ok(manifest)
+    }
+}
+
+/// Whether a name is one step down and no more.
+fn is_plain_name(name: &str) -> bool {
+    let mut steps = Utf8Path::new(name).components();
+    matches!((steps.next(), steps.next()), (Some(Utf8Component::Normal(step)), None) if step == name)
+}
+
+pub fn hex(digest: &[u8]) -> String {
+    digest.iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn manifest(name: &str) -> Manifest {
+        let database = Database { file: "uniground-1.sqlite".into(), sha256: "0".into(), bytes: 1 };
+        let kept = Kept { kind: "parses".into(), name: name.into(), sha256: "0".into(), files: 1, bytes: 1, published_s: 0 };
+        Manifest {
+            format: FORMAT,
+            program: "0".into(),
+            schema: 1,
+            taken_at: "2026-11-22T00:00:00Z".into(),
+            data_folder: "x".into(),
+            database,
+            scenes: 1,
+            answers: 0,
+            folders: vec![kept],
+            left_out: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_manifest_is_read_as_it_was_written() {
+        assert_eq!(Manifest::open(&manifest("p").sealed().unwrap()).unwrap(), manifest("p"));
+    }
+
+    #[test]
+    fn whatever_byte_is_flipped_it_is_refused() {
+        let whole = manifest("p").sealed().unwrap();
+        for at in 0..whole.len() {
+            let mut bytes = whole.clone();
+            bytes[at] ^= 1;
+            assert!(Manifest::open(&bytes).is_err(), "byte {at}: {}", String::from_utf8_lossy(&bytes));
+        }
+    }
+
+    #[test]
+    fn names_lead_nowhere_else() {
+        for name in ["..", ".", "", "a/b", "/a", "../a", "a/"] {
+            assert!(matches!(Manifest::open(&manifest(name).sealed().unwrap()), Err(BackupError::Damaged { .. })), "{name}");
+        }
+    }
+}

@@ -1,0 +1,182 @@
+//! Backups: the database as it was at one moment, with all files it speaks of. Taken beside a running server, which notices nothing.
+//!
+//! ```text
+//! manifest.json               what belongs to the backup, with sums; written last
+//! uniground-<sum>.sqlite      the database
+//! blobs/<kind>/<name>/...     published folders, each with the sums of its files
+//! backup.lock                 held while a backup is being taken (folders only)
+//! ```
+//! Published folders never change, so those that are there already are not copied again. The database is taken first and its folders after
+//! it; a folder that was removed in between makes another round necessary, which has nearly nothing left to copy. Checkpoints only save
+//! time and are left out.
+
+mod manifest;
+mod reading;
+mod restore;
+mod sink;
+mod snapshot;
+
+pub use restore::{Restored, Source, check, restore};
+pub use sink::Target;
+
+use super::StoreError;
+use super::blobs::Blobs;
+use super::data_folder::DataFolder;
+use camino::{Utf8Path, Utf8PathBuf};
+use manifest::{Kept, LeftOut, Manifest};
+use reading::Unsound;
+use sink::Sink;
+use snapshot::Snapshot;
+use std::collections::BTreeMap;
+use std::io;
+use tokio::task::spawn_blocking;
+
+#[derive(Debug, thiserror::Error)]
+pub enum BackupError {
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    #[error("{folder} holds other things ({found}) and no backup: choose an empty folder")]
+    NotABackup { folder: Utf8PathBuf, found: String },
+    #[error("{folder} is not empty ({found}): choose a folder that is, or is not there yet")]
+    NotEmpty { folder: Utf8PathBuf, found: String },
+    #[error("a backup can not lie in the data folder itself")]
+    Within,
+    #[error("another backup is being written to {folder}")]
+    Busy { folder: Utf8PathBuf },
+    #[error("this is no backup: {why}")]
+    Unknown { why: String },
+    #[error("the backup is damaged: {what}")]
+    Damaged { what: String },
+    #[error("the backup was made by uniground {program}, which knows a newer database: restore it with that version or a later one")]
+    Newer { program: String },
+    #[error("the data folder changes faster than it can be copied")]
+    Restless,
+    #[error("{file}")]
+    File { file: Utf8PathBuf, source: io::Error },
+}
+
+impl From<sqlx::Error> for BackupError {
+    fn from(error: sqlx::Error) -> Self {
+        Self::Store(error.into())
+    }
+}
+
+impl From<io::Error> for BackupError {
+    fn from(error: io::Error) -> Self {
+        Self::Store(error.into())
+    }
+}
+
+/// What a backup came to.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BackedUp {
+    pub scenes: u64,
+    pub answers: u64,
+    /// Folders of scans, parses and transcripts.
+    pub folders: u64,
+    pub bytes: u64,
+    /// What was not there already.
+    pub new_folders: u64,
+    pub new_bytes: u64,
+    /// Folders that were lost or damaged before: the backup does not have them. Folder, and what is wrong.
+    pub left_out: Vec<(String, String)>,
+}
+
+/// Kinds of folders a backup has.
+const KINDS: [&str; 3] = ["contents", "parses", "answers"];
+/// Rounds after which a folder that is written to all the time is given up.
+const ROUNDS: u32 = 20;
+
+/// Kind and name of a published folder.
+type Name = (&'static str, String);
+
+/// Folders in the backup, and those that could not be had.
+#[derive(Default)]
+struct Progress {
+    kept: BTreeMap<Name, Kept>,
+    missing: BTreeMap<Name, String>,
+    new_folders: u64,
+    new_bytes: u64,
+}
+
+/// Takes a backup of a data folder, whether or not a server runs there.
+///
+/// # Errors
+/// [`BackupError`]; a backup that was there before is as it was.
+pub async fn back_up(data_dir: &Utf8Path, target: Target) -> Result<BackedUp, BackupError> {
+    let (path, opened) = (data_dir.to_owned(), target);
+    let opening = spawn_blocking(move || {
+        let id = DataFolder::identity(&path)?;
+        Ok::<_, BackupError>((id, Sink::open(opened, &path)?))
+    });
+    let (id, mut sink) = opening.await.map_err(io::Error::other)??;
+    let source = Blobs::look_only(data_dir);
+    let mut progress = Progress::default();
+    for _ in 0..ROUNDS {
+        let snapshot = Snapshot::take(&data_dir.join(super::data_folder::DATABASE), sink.room_for_database()).await?;
+        let wanted = snapshot.folders(&source).await?;
+        let (missed_before, blobs) = (progress.missing.clone(), source.clone());
+        (sink, progress) = spawn_blocking(move || copy(&blobs, wanted, sink, progress)).await.map_err(io::Error::other)??;
+        // What one snapshot speaks of that was taken after it was missed, is lost.
+        if progress.missing.keys().all(|name| missed_before.contains_key(name)) {
+            return spawn_blocking(move || finish(sink, &snapshot, &id, progress)).await.map_err(io::Error::other)?;
+        }
+    }
+    Err(BackupError::Restless)
+}
+
+/// Copies what a snapshot speaks of and the backup does not have.
+fn copy(source: &Blobs, wanted: Vec<Name>, mut sink: Sink, before: Progress) -> Result<(Sink, Progress), BackupError> {
+    let Progress { kept: mut had, new_folders, new_bytes, .. } = before;
+    let mut progress = Progress { new_folders, new_bytes, ..Progress::default() };
+    for (kind, name) in wanted {
+        let name = (kind, name);
+        if let Some(kept) = had.remove(&name) {
+            progress.kept.insert(name, kept);
+            continue;
+        }
+        match sink.put(kind, &name.1, &source.place(kind, &name.1)) {
+            Ok((kept, is_new)) => {
+                progress.new_folders += u64::from(is_new);
+                progress.new_bytes += if is_new { kept.bytes } else { 0 };
+                progress.kept.insert(name, kept);
+            }
+            // What a model was shown and said is kept for a time only: it may be gone while its answer is there.
+            Err(Unsound::Gone) if kind == "answers" => {}
+            Err(Unsound::Gone) => drop(progress.missing.insert(name, "missing".into())),
+            Err(Unsound::Damaged(what)) => drop(progress.missing.insert(name, what)),
+            Err(Unsound::NotWritten(error)) => return Err(error.into()),
+        }
+    }
+    Ok((sink, progress))
+}
+
+/// Writes the manifest: from then on it is a backup.
+fn finish(mut sink: Sink, snapshot: &Snapshot, id: &str, progress: Progress) -> Result<BackedUp, BackupError> {
+    let Progress { kept, missing, new_folders, new_bytes } = progress;
+    let database = sink.put_database(&snapshot.file)?;
+    let left_out: Vec<(String, String)> = missing.into_iter().map(|((kind, name), what)| (format!("blobs/{kind}/{name}"), what)).collect();
+    let backed_up = BackedUp {
+        scenes: snapshot.scenes,
+        answers: snapshot.answers,
+        folders: kept.len() as u64,
+        bytes: database.bytes + kept.values().map(|kept| kept.bytes).sum::<u64>(),
+        new_folders,
+        new_bytes,
+        left_out: left_out.clone(),
+    };
+    let manifest = Manifest {
+        format: manifest::FORMAT,
+        program: env!("CARGO_PKG_VERSION").to_owned(),
+        schema: snapshot.schema,
+        taken_at: snapshot.taken_at.clone(),
+        data_folder: snapshot.data_folder.clone().unwrap_or_else(|| id.to_owned()),
+        database,
+        scenes: snapshot.scenes,
+        answers: snapshot.answers,
+        folders: kept.into_values().collect(),
+        left_out: left_out.into_iter().map(|(folder, why)| LeftOut { folder, why }).collect(),
+    };
+    sink.finish(&manifest)?;
+    Ok(backed_up)
+}

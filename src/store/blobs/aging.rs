@@ -1,0 +1,141 @@
+//! What is kept for a time only: how old it is, and how large.
+
+use super::Blobs;
+use camino::{Utf8Path, Utf8PathBuf};
+use std::fs::{self, File};
+use std::io;
+use std::time::{Duration, SystemTime};
+
+/// Finished stages of a content, and when a parse used them last.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct KeptCheckpoints {
+    pub hash: String,
+    pub bytes: u64,
+    pub used: SystemTime,
+}
+
+impl Blobs {
+    /// Folders of a kind that are older, by name.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn older_than(&self, kind: &str, age: Duration, now: SystemTime) -> io::Result<Vec<String>> {
+        let mut old = Vec::new();
+        for name in self.names(kind)? {
+            match fs::metadata(self.place(kind, &name)).and_then(|folder| folder.modified()) {
+                Ok(made) if now.duration_since(made).unwrap_or_default() > age => old.push(name),
+                Ok(_) => {}
+                // Somebody else removed it.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(error) => return Err(error),
+            }
+        }
+        Ok(old)
+    }
+
+    /// The folder for finished stages of a content, made where there is none, and in use from now on.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn use_checkpoints(&self, hash: &str) -> io::Result<Utf8PathBuf> {
+        let folder = self.checkpoints(hash);
+        fs::create_dir_all(&folder)?;
+        File::open(&folder)?.set_modified(SystemTime::now())?;
+        Ok(folder)
+    }
+
+    /// All finished stages that are kept, those first that were not used for longest.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn kept_checkpoints(&self) -> io::Result<Vec<KeptCheckpoints>> {
+        let mut kept = Vec::new();
+        for hash in self.names("checkpoints")? {
+            let (bytes, used) = measure(&self.checkpoints(&hash))?;
+            kept.push(KeptCheckpoints { hash, bytes, used });
+        }
+        kept.sort_by(|a, b| a.used.cmp(&b.used).then_with(|| a.hash.cmp(&b.hash)));
+        Ok(kept)
+    }
+}
+
+/// Bytes of all files below a folder, or of a file; nothing where nothing is.
+///
+/// # Errors
+/// Those of the file system.
+pub fn size_of(path: &Utf8Path) -> io::Result<u64> {
+    Ok(measure(path)?.0)
+}
+
+/// Bytes below a folder, and when anything there changed last. What goes away meanwhile counts no more.
+fn measure(path: &Utf8Path) -> io::Result<(u64, SystemTime)> {
+    let (mut bytes, mut changed, mut left) = (0, SystemTime::UNIX_EPOCH, vec![path.to_owned()]);
+    while let Some(path) = left.pop() {
+        let looked = fs::symlink_metadata(&path).and_then(|entry| {
+            changed = changed.max(entry.modified()?);
+            if !entry.is_dir() {
+                bytes += entry.len();
+                return Ok(());
+            }
+            for within in path.read_dir_utf8()? {
+                left.push(within?.into_path());
+            }
+            Ok(())
+        });
+        match looked {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+    }
+    Ok((bytes, changed))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const DAY: Duration = Duration::from_hours(24);
+
+    fn opened(data: &tempfile::TempDir) -> Blobs {
+        Blobs::open(Utf8Path::from_path(data.path()).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn folders_are_as_old_as_their_last_change() {
+        let data = tempfile::tempdir().unwrap();
+        let blobs = opened(&data);
+        for id in ["a", "b"] {
+            fs::create_dir(blobs.answer(id)).unwrap();
+        }
+        let now = SystemTime::now();
+        File::open(blobs.answer("b")).unwrap().set_modified(now - DAY * 3).unwrap();
+        assert_eq!(blobs.older_than("answers", DAY, now).unwrap(), ["b"]);
+        let mut all = blobs.older_than("answers", DAY, now + DAY * 2).unwrap();
+        all.sort();
+        assert_eq!(all, ["a", "b"]);
+    }
+
+    /// Whoever opens a log touches it, and whoever begins a parse the folder.
+    #[test]
+    fn checkpoints_are_in_order_of_their_last_use() {
+        let data = tempfile::tempdir().unwrap();
+        let (blobs, now) = (opened(&data), SystemTime::now());
+        for (hash, days) in [("first", 9), ("second", 5), ("third", 7)] {
+            let folder = blobs.use_checkpoints(hash).unwrap();
+            fs::write(folder.join("stage.log"), "four").unwrap();
+            File::open(folder.join("stage.log")).unwrap().set_modified(now - DAY * 10).unwrap();
+            File::open(folder).unwrap().set_modified(now - DAY * days).unwrap();
+        }
+        let order = || {
+            blobs
+                .kept_checkpoints()
+                .unwrap()
+                .into_iter()
+                .map(|kept| (kept.hash, kept.bytes))
+                .collect::<Vec<_>>()
+        };
+        assert_eq!(order(), [("first", 4), ("third", 4), ("second", 4)].map(|(hash, bytes)| (hash.to_owned(), bytes)));
+        blobs.use_checkpoints("first").unwrap();
+        assert_eq!(order()[2].0, "first");
+    }
+}

@@ -1,0 +1,40 @@
+//! A look at a data folder that changes nothing there: the database is copied elsewhere, files are only read.
+
+use super::blobs::Blobs;
+use super::data_folder::DataFolder;
+use super::{Store, StoreError};
+use camino::{Utf8Path, Utf8PathBuf};
+use std::fs;
+use std::io;
+use std::sync::Arc;
+use tempfile::TempDir;
+use tokio::task::spawn_blocking;
+
+/// What a database is made of, while nobody has it open.
+const FILES_OF_DATABASE: [&str; 2] = ["", "-wal"];
+
+impl Store {
+    /// Opens a copy of the database over the folder's own files. Whatever is done to this store, the folder stays as it is: rows are
+    /// removed from the copy, and files are left alone.
+    ///
+    /// # Errors
+    /// [`StoreError`]: a server runs there, or it is no data folder.
+    pub async fn open_copy(data_dir: &Utf8Path) -> Result<Self, StoreError> {
+        let path = data_dir.to_owned();
+        let copied = spawn_blocking(move || {
+            let folder = DataFolder::look(&path)?;
+            let elsewhere = tempfile::tempdir()?;
+            let database = Utf8PathBuf::try_from(elsewhere.path().join("copy.sqlite")).map_err(io::Error::other)?;
+            for part in FILES_OF_DATABASE {
+                match fs::copy(format!("{}{part}", folder.database()), format!("{database}{part}")) {
+                    Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
+                    _ => {}
+                }
+            }
+            Ok::<_, StoreError>((folder, elsewhere, database))
+        });
+        let (folder, elsewhere, database) = copied.await.map_err(io::Error::other)??;
+        let store = Self::connect(&database, folder, Blobs::look_only(data_dir)).await?;
+        Ok(Self { _copy: Some(Arc::<TempDir>::new(elsewhere)), ..store })
+    }
+}

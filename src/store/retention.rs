@@ -1,0 +1,171 @@
+//! Rows that are kept for a time only: which may go, and their removal, a few at a time.
+//!
+//! What may go is looked up among the readers; only the removal itself takes the writing connection, and asks again whether it may.
+
+use super::{Store, StoreError};
+use jiff::{Timestamp, ToSpan};
+use sqlx::AssertSqlSafe;
+
+/// Kinds of rows that go after a time.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Aged {
+    Answers,
+    /// Those that are over, with their items.
+    Batches,
+    /// Those that are over, unless a scene or a batch refers to them.
+    Jobs,
+    IdempotencyKeys,
+    /// What was done, and with whose key.
+    Audit,
+    /// Those neither a scene nor an answer refers to, counted from when that was [seen](Store::mark_superseded_parses).
+    SupersededParses,
+}
+
+/// Everything before it has been kept long enough.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Before {
+    time: String,
+    /// The first id that could have been given then.
+    id: String,
+}
+
+/// A row that may go.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Due {
+    pub id: String,
+    /// Of what it says, roughly.
+    pub bytes: u64,
+}
+
+/// Items of a batch removed together.
+const ITEMS_TOGETHER: u32 = 1000;
+
+impl Before {
+    /// So many days before `now`.
+    #[must_use]
+    pub fn days_ago(days: u32, now: Timestamp) -> Self {
+        let time = now.checked_sub((i64::from(days) * 24).hours()).unwrap_or(Timestamp::MIN);
+        Self { time: time.to_string(), id: Store::first_id_at(time) }
+    }
+}
+
+impl Aged {
+    /// Table, key, bytes and condition; `?1` is a time, `?2` the first id of that time.
+    const fn sql(self) -> (&'static str, &'static str, &'static str, &'static str) {
+        match self {
+            // An item of a batch has its answer's id long before it is asked, where the batch was paused.
+            Self::Answers => ("answers", "id", "octet_length(body)", "id < ?2 AND created_at < ?1"),
+            Self::Batches => (
+                "batches",
+                "id",
+                "(SELECT coalesce(sum(octet_length(request)), 0) FROM batch_items WHERE batch_id = batches.id)",
+                "id < ?2 AND state IN ('succeeded', 'cancelled') AND finished_at < ?1",
+            ),
+            Self::Jobs => (
+                "jobs",
+                "id",
+                "octet_length(payload)",
+                "id < ?2 AND state IN ('succeeded', 'failed', 'cancelled') AND finished_at < ?1
+                 AND id NOT IN (SELECT job_id FROM scenes WHERE job_id IS NOT NULL)
+                 AND id NOT IN (SELECT job_id FROM batches WHERE job_id IS NOT NULL)",
+            ),
+            Self::IdempotencyKeys => ("idempotency_keys", "key", "octet_length(key)", "created_at < ?1 AND ?2 IS NOT NULL"),
+            Self::Audit => ("audit", "id", "octet_length(path)", "id < ?2 AND at < ?1"),
+            Self::SupersededParses => (
+                "parses",
+                "id",
+                "(SELECT coalesce(sum(octet_length(body)), 0) FROM instances WHERE parse_id = parses.id)",
+                "superseded_at < ?1 AND ?2 IS NOT NULL
+                 AND id NOT IN (SELECT parse_id FROM scenes WHERE parse_id IS NOT NULL)
+                 AND NOT EXISTS (SELECT 1 FROM answers WHERE parse_id = parses.id)",
+            ),
+        }
+    }
+}
+
+impl Store {
+    /// Rows that may go, in order of their keys, those after `after` only.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn due(&self, aged: Aged, before: &Before, after: &str, limit: u32) -> Result<Vec<Due>, StoreError> {
+        let (table, key, bytes, condition) = aged.sql();
+        let sql = format!("SELECT {key} AS id, {bytes} AS bytes FROM {table} WHERE {condition} AND {key} > ?3 ORDER BY {key} LIMIT ?4");
+        let due = sqlx::query_as(AssertSqlSafe(sql)).bind(&before.time).bind(&before.id).bind(after).bind(limit);
+        let due: Vec<(String, i64)> = due.fetch_all(&self.reader).await?;
+        Ok(due.into_iter().map(|(id, bytes)| Due { id, bytes: u64::try_from(bytes).unwrap_or(0) }).collect())
+    }
+
+    /// Removes some of the rows that were due, those that still are; their ids.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn remove_due(&self, aged: Aged, before: &Before, ids: &[&str]) -> Result<Vec<String>, StoreError> {
+        let (table, key, _, condition) = aged.sql();
+        let ids = serde_json::to_string(ids)?;
+        if aged == Aged::Batches {
+            return self.remove_batches(before, &ids, condition).await;
+        }
+        let sql = format!("DELETE FROM {table} WHERE {condition} AND {key} IN (SELECT value FROM json_each(?3)) RETURNING {key}");
+        let removed = sqlx::query_scalar(AssertSqlSafe(sql)).bind(&before.time).bind(&before.id).bind(ids);
+        Ok(removed.fetch_all(self.writer.pool()).await?)
+    }
+
+    /// A batch may have a million items. It is hidden first, as one that is still coming in: whatever happens then, nobody meets half of it.
+    async fn remove_batches(&self, before: &Before, ids: &str, condition: &str) -> Result<Vec<String>, StoreError> {
+        let hide = format!(
+            "UPDATE batches SET state = 'receiving', key = NULL
+             WHERE {condition} AND id IN (SELECT value FROM json_each(?3)) RETURNING id"
+        );
+        let hidden: Vec<String> = sqlx::query_scalar(AssertSqlSafe(hide))
+            .bind(&before.time)
+            .bind(&before.id)
+            .bind(ids)
+            .fetch_all(self.writer.pool())
+            .await?;
+        let some = "DELETE FROM batch_items WHERE batch_id = ?1
+                    AND item IN (SELECT item FROM batch_items WHERE batch_id = ?1 LIMIT ?2)";
+        for id in &hidden {
+            while sqlx::query(some).bind(id).bind(ITEMS_TOGETHER).execute(self.writer.pool()).await?.rows_affected() > 0 {}
+            self.delete_batch(id).await?;
+        }
+        Ok(hidden)
+    }
+
+    /// Notes which parses nothing refers to any more, since `now`, and which are referred to again.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn mark_superseded_parses(&self, now: Timestamp) -> Result<(), StoreError> {
+        let is_used = "(id IN (SELECT parse_id FROM scenes WHERE parse_id IS NOT NULL)
+                        OR EXISTS (SELECT 1 FROM answers WHERE parse_id = parses.id))";
+        for sql in [
+            format!("UPDATE parses SET superseded_at = ?1 WHERE superseded_at IS NULL AND NOT {is_used}"),
+            format!("UPDATE parses SET superseded_at = NULL WHERE superseded_at IS NOT NULL AND {is_used} AND ?1 IS NOT NULL"),
+        ] {
+            sqlx::query(AssertSqlSafe(sql)).bind(now.to_string()).execute(self.writer.pool()).await?;
+        }
+        Ok(())
+    }
+
+    /// Contents that a parse works on, or is about to.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn contents_in_work(&self) -> Result<Vec<String>, StoreError> {
+        let sql = "SELECT DISTINCT content_hash FROM scenes
+                   WHERE id IN (SELECT subject FROM jobs WHERE state IN ('queued', 'running'))";
+        Ok(sqlx::query_scalar(sql).fetch_all(&self.reader).await?)
+    }
+
+    /// Gives the room of removed rows back to the disk. Nobody else may use the database meanwhile.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn compact(&self) -> Result<(), StoreError> {
+        for sql in ["VACUUM", "PRAGMA wal_checkpoint(TRUNCATE)"] {
+            sqlx::query(sql).execute(self.writer.pool()).await?;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,253 @@
+//! What is kept for a time only, and what `uniground gc` does about it.
+
+use crate::archives::Scan;
+use crate::server::{TestServer, ask, finished};
+use camino::{Utf8Path, Utf8PathBuf};
+use serde_json::Value;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use sqlx::{AssertSqlSafe, Connection};
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::process::{Command, Output};
+use std::time::{Duration, SystemTime};
+use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
+use uniground_types::batch::{BatchRequest, BatchState};
+
+/// Ids of January 2020 begin so.
+const OLD: &str = "016f5e66-e800-7000-8000-00000000000";
+const LONG_AGO: &str = "2020-01-01T00:00:00Z";
+
+async fn database(data: &Utf8Path) -> SqliteConnection {
+    SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(data.join("uniground.sqlite")).foreign_keys(false))
+        .await
+        .unwrap()
+}
+
+async fn run(rows: &mut SqliteConnection, sql: impl Into<String>) {
+    let sql = sql.into();
+    sqlx::raw_sql(AssertSqlSafe(sql.clone()))
+        .execute(rows)
+        .await
+        .unwrap_or_else(|error| panic!("{sql}: {error}"));
+}
+
+async fn ids(rows: &mut SqliteConnection, sql: &'static str) -> Vec<String> {
+    sqlx::query_scalar(sql).fetch_all(rows).await.unwrap()
+}
+
+fn gc(data: &Utf8Path, more: &[&str]) -> Output {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
+    command.args(["gc", "--data-dir", data.as_str()]).args(more).output().unwrap()
+}
+
+/// What went, by kind: entries and bytes.
+fn told(output: &Output) -> BTreeMap<String, (u64, u64)> {
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let told: Value = serde_json::from_slice(&output.stdout).unwrap();
+    let of = |one: &Value| (one["kind"].as_str().unwrap().to_owned(), (one["entries"].as_u64().unwrap(), one["bytes"].as_u64().unwrap()));
+    told["removed"].as_array().unwrap().iter().map(of).collect()
+}
+
+/// Every file below a folder with what it holds, and when it and its folders changed.
+fn everything(folder: &Utf8Path) -> BTreeMap<Utf8PathBuf, (SystemTime, Vec<u8>)> {
+    let (mut found, mut left) = (BTreeMap::new(), vec![folder.to_owned()]);
+    while let Some(path) = left.pop() {
+        let entry = fs::metadata(&path).unwrap();
+        let content = if entry.is_dir() {
+            left.extend(path.read_dir_utf8().unwrap().map(|entry| entry.unwrap().into_path()));
+            Vec::new()
+        } else {
+            fs::read(&path).unwrap()
+        };
+        found.insert(path, (entry.modified().unwrap(), content));
+    }
+    found
+}
+
+fn make_old(folder: &Utf8Path, days: u64) {
+    let then = SystemTime::now() - Duration::from_hours(24 * days);
+    for path in everything(folder).into_keys() {
+        File::open(path).unwrap().set_modified(then).unwrap();
+    }
+}
+
+/// A folder with something old and something new of every kind: the scene, its answer, and the batch that is paused.
+async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
+    let server = TestServer::start().await;
+    let client = &server.client;
+    let created = client.create_scene_once("room", "application/zip", Scan::neutral().zip(), "new key").await.unwrap();
+    assert_eq!(finished(client, &created.job.unwrap().id).await.error, None);
+    let scene = created.scene.id;
+    for preset in ["paper", "default", "paper"] {
+        let again = client.parse(&scene, &serde_json::json!({"preset": preset})).await.unwrap();
+        assert_eq!(finished(client, &again.id).await.error, None);
+    }
+    let answer = client.ground(&scene, &ask("the red sofa")).await.unwrap().id;
+    let request = serde_json::json!({"items": [{"query": "the red sofa"}], "defaults": {"scene_id": scene}});
+    let request: BatchRequest = serde_json::from_value(request).unwrap();
+    let mut batches = Vec::new();
+    for _ in 0..3 {
+        let batch = client.create_batch(&request, None).await.unwrap();
+        while client.batch(&batch.id).await.unwrap().state == BatchState::Running {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+        batches.push(batch.id);
+    }
+    let data = server.give_back().await;
+    let folder = Utf8Path::from_path(data.path()).unwrap();
+    let mut rows = database(folder).await;
+    run(
+        &mut rows,
+        format!(
+            "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
+             SELECT '{OLD}' || value, scene_id, parse_id, body, '{LONG_AGO}' FROM answers, json_each('[1, 2, 3]') WHERE answers.id = '{answer}';
+             -- Asked long after it got its id: its batch was paused.
+             INSERT INTO answers (id, scene_id, parse_id, body, created_at)
+             SELECT '{OLD}4', scene_id, parse_id, body, created_at FROM answers WHERE id = '{answer}';
+             -- A job nobody refers to, one that is not over, the scene's own.
+             INSERT INTO jobs (id, kind, subject, payload, state, created_at, finished_at)
+             VALUES ('{OLD}5', 'naming', 's', '{{}}', 'failed', '{LONG_AGO}', '{LONG_AGO}'), ('{OLD}6', 'naming', 's', '{{}}', 'queued', '{LONG_AGO}', NULL);
+             UPDATE jobs SET id = '{OLD}7', finished_at = '{LONG_AGO}' WHERE id = (SELECT job_id FROM scenes);
+             UPDATE scenes SET job_id = '{OLD}7';
+             -- Two old batches, one of which is not over, with their jobs.
+             UPDATE batches SET id = '{OLD}8', job_id = '{OLD}8', finished_at = '{LONG_AGO}' WHERE id = '{done}';
+             UPDATE batches SET id = '{OLD}9', job_id = '{OLD}9', state = 'paused', finished_at = NULL WHERE id = '{paused}';
+             UPDATE batch_items SET batch_id = '{OLD}8' WHERE batch_id = '{done}';
+             UPDATE batch_items SET batch_id = '{OLD}9' WHERE batch_id = '{paused}';
+             UPDATE jobs SET id = '{OLD}8', finished_at = '{LONG_AGO}' WHERE subject = '{done}';
+             UPDATE jobs SET id = '{OLD}9', finished_at = '{LONG_AGO}' WHERE subject = '{paused}';
+             INSERT INTO idempotency_keys (key, scene_id, created_at) SELECT 'old key', id, '{LONG_AGO}' FROM scenes;
+             UPDATE parses SET superseded_at = '{LONG_AGO}';
+             UPDATE parses SET created_at = '{LONG_AGO}';",
+            done = batches[0],
+            paused = batches[1],
+        ),
+    )
+    .await;
+    rows.close().await.unwrap();
+    // What a model was shown: for a new answer and for an old one, and once too long ago.
+    for (id, days) in [(answer.as_str(), 1), (&format!("{OLD}1"), 1), (&format!("{OLD}4"), 40)] {
+        fs::create_dir(folder.join("blobs/answers").join(id)).unwrap();
+        fs::write(folder.join("blobs/answers").join(id).join("prompt.json"), "{}").unwrap();
+        make_old(&folder.join("blobs/answers").join(id), days);
+    }
+    make_old(&folder.join("blobs/checkpoints"), 20);
+    for day in ["2020-01-01", "2999-01-01"] {
+        fs::create_dir_all(folder.join("quarantine").join(day).join("parses/x")).unwrap();
+        fs::write(folder.join("quarantine").join(day).join("parses/x/cloud.ply"), "points").unwrap();
+    }
+    (data, scene, answer, format!("{OLD}9"))
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_kept_long_enough_goes_and_nothing_else() {
+    let (data, scene, answer, paused) = folder_of_every_kind().await;
+    let folder = Utf8Path::from_path(data.path()).unwrap();
+    let before = everything(folder);
+    let announced = told(&gc(folder, &["--dry-run", "--json"]));
+    assert_eq!(everything(folder), before, "a dry run writes nothing");
+    let kept_for_ever =
+        ["answers", "jobs", "batches", "idempotency", "superseded", "checkpoints"].map(|kind| format!("--keep-{kind}-days=0"));
+    let kept_for_ever: Vec<&str> = ["--dry-run", "--json"].into_iter().chain(kept_for_ever.iter().map(String::as_str)).collect();
+    let little: Vec<String> = told(&gc(folder, &kept_for_ever))
+        .into_iter()
+        .filter(|(_, gone)| gone.0 > 0)
+        .map(|(kind, _)| kind)
+        .collect();
+    assert_eq!(little, ["evidence", "quarantine"]);
+
+    let gone = told(&gc(folder, &["--json"]));
+    assert_eq!(gone, announced);
+    let entries: Vec<(&str, u64)> = gone.iter().map(|(kind, (entries, _))| (kind.as_str(), *entries)).collect();
+    let expected = [
+        ("answers", 3),
+        ("batches", 1),
+        ("checkpoints", 1),
+        ("evidence", 1),
+        ("idempotency keys", 1),
+        // The old one, and that of the batch.
+        ("jobs", 2),
+        ("quarantine", 1),
+        ("superseded parses", 1),
+    ];
+    assert_eq!(entries, expected);
+    assert!(gone.values().all(|(_, bytes)| *bytes > 0), "{gone:?}");
+
+    let mut rows = database(folder).await;
+    let jobs = ids(&mut rows, "SELECT id FROM jobs WHERE id < '018' ORDER BY id").await;
+    assert_eq!(jobs, ["6", "7", "9"].map(|end| format!("{OLD}{end}")));
+    assert!(ids(&mut rows, "SELECT id FROM answers").await.contains(&answer));
+    assert_eq!(ids(&mut rows, "SELECT id FROM answers WHERE id < '018'").await, [format!("{OLD}4")]);
+    assert_eq!(ids(&mut rows, "SELECT id FROM batches ORDER BY id").await.len(), 2);
+    assert_eq!(ids(&mut rows, "SELECT key FROM idempotency_keys").await, ["new key"]);
+    assert_eq!(ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NULL").await.len(), 1, "that of the scene");
+    assert_eq!(ids(&mut rows, "SELECT DISTINCT batch_id FROM batch_items ORDER BY 1").await.len(), 2);
+    run(&mut rows, format!("DELETE FROM jobs WHERE id = '{OLD}6'")).await;
+    rows.close().await.unwrap();
+    let names = |below: &str| {
+        folder
+            .join(below)
+            .read_dir_utf8()
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().to_owned())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(names("blobs/parses").len(), 1);
+    assert_eq!(names("blobs/answers"), std::slice::from_ref(&answer));
+    assert_eq!((names("blobs/checkpoints").len(), names("quarantine")), (0, vec!["2999-01-01".to_owned()]));
+    assert!(told(&gc(folder, &["--json"])).values().all(|gone| gone.0 == 0), "nothing is left to do");
+
+    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+    assert_eq!(server.client.answer(&answer).await.unwrap().scene_id, scene);
+    assert_eq!(server.client.scene(&scene).await.unwrap().job_id, Some(format!("{OLD}7")));
+    assert_eq!(server.client.batch(&paused).await.unwrap().state, BatchState::Paused);
+    // What has gone is made again when it is wanted.
+    let again = server.client.parse(&scene, &serde_json::json!({"preset": "default"})).await.unwrap();
+    assert_eq!(finished(&server.client, &again.id).await.error, None);
+    assert_eq!(server.stored("blobs/parses").len(), 2);
+    assert_eq!(server.stored("blobs/checkpoints").len(), 1);
+    server.stop().await;
+}
+
+/// A parse that an answer was given for stays; so does one that has not been superseded for long, and one a scene takes up again.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_parse_somebody_refers_to_stays() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let answer = server.client.ground(&scene, &ask("the red sofa")).await.unwrap().id;
+    let again = server.client.parse(&scene, &serde_json::json!({"preset": "paper"})).await.unwrap();
+    assert_eq!(finished(&server.client, &again.id).await.error, None);
+    let data = server.give_back().await;
+    let folder = Utf8Path::from_path(data.path()).unwrap();
+    let parses = || folder.join("blobs/parses").read_dir_utf8().unwrap().count();
+    let mut rows = database(folder).await;
+    run(&mut rows, format!("UPDATE parses SET created_at = '{LONG_AGO}', superseded_at = '{LONG_AGO}'")).await;
+    assert_eq!(told(&gc(folder, &["--json"]))["superseded parses"].0, 0, "the answer was given for it");
+    run(&mut rows, format!("DELETE FROM answers WHERE id = '{answer}'")).await;
+    assert_eq!(told(&gc(folder, &["--json"]))["superseded parses"].0, 0, "only now it is superseded");
+    assert_eq!((parses(), ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NOT NULL").await.len()), (2, 1));
+    run(&mut rows, format!("UPDATE parses SET superseded_at = '{LONG_AGO}' WHERE superseded_at IS NOT NULL")).await;
+    assert_eq!((told(&gc(folder, &["--json"]))["superseded parses"].0, parses()), (1, 1));
+    rows.close().await.unwrap();
+}
+
+/// Nobody can let go of what a server uses, and there is nothing to let go of where nothing is.
+#[tokio::test(flavor = "multi_thread")]
+async fn gc_wants_a_stopped_servers_folder() {
+    let server = TestServer::start().await;
+    for more in [&["--dry-run"][..], &[]] {
+        let refused = gc(server.data(), more);
+        assert!(
+            !refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("another server"),
+            "{refused:?}"
+        );
+        let nothing = server.data().join("nothing");
+        let refused = gc(&nothing, more);
+        assert!(
+            !refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("no data folder"),
+            "{refused:?}"
+        );
+        assert!(!nothing.exists());
+    }
+    server.stop().await;
+}
