@@ -123,7 +123,6 @@ async fn metrics_and_stats_tell_what_was_done() {
     let before = scraped(&server).await;
     assert_eq!((before.value("uniground_scenes", &[]), before.value("uniground_ready", &[])), (0.0, 1.0));
     assert_eq!(before.value("uniground_jobs_finished_total", &[]), 0.0);
-    assert!(before.samples["uniground_jobs_finished_total"].len() >= 9, "zeros of every kind and state");
     let scene = server.parsed(sample()).await.id;
     let again = server.client.create_scene(Some("again"), "application/zip", sample()).await.unwrap();
     finished(&server.client, &again.job.unwrap().id).await;
@@ -153,6 +152,7 @@ async fn metrics_and_stats_tell_what_was_done() {
     assert_eq!(first.value("uniground_batch_items_total", &[]), 2.0);
     assert_eq!(first.value("uniground_jobs_finished_total", &[("kind", "parse"), ("state", "succeeded")]), 2.0);
     assert_eq!(first.value("uniground_jobs_finished_total", &[("kind", "batch"), ("state", "succeeded")]), 1.0);
+    assert_eq!(first.samples["uniground_jobs_finished_total"].len(), 9, "what has not happened yet is told as 0");
     assert_eq!(first.value("uniground_parse_duration_seconds_count", &[]), 1.0, "the second scene took the first one's parse");
     let stages = first.value("uniground_parse_stage_duration_seconds_sum", &[]);
     assert!(stages > 0.0 && stages <= first.value("uniground_parse_duration_seconds_sum", &[]) * 1.01, "{stages}");
@@ -205,12 +205,13 @@ async fn metrics_and_stats_tell_what_was_done() {
     let scrape = scraped(&restarted).await;
     assert_eq!(scrape.value("uniground_blobs_size_bytes", &[("kind", "parses")]), sizes["parses"] as f64);
     assert_eq!((scrape.value("uniground_answers", &[]), scrape.value("uniground_questions_total", &[])), (4.0, 0.0));
-    let start = Instant::now();
+    let mut fastest = Duration::MAX;
     for _ in 0..20 {
+        let start = Instant::now();
         scraped(&restarted).await;
+        fastest = fastest.min(start.elapsed());
     }
-    let each = start.elapsed() / 20;
-    assert!(each < Duration::from_millis(50), "a scrape takes {each:?}");
+    assert!(fastest < Duration::from_millis(20), "a scrape takes {fastest:?}");
     restarted.stop().await;
 }
 
