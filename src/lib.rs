@@ -12,4 +12,5 @@ pub mod metrics;
 pub mod service;
 pub mod store;
 pub mod telemetry;
+mod trace_context;
 mod words;

@@ -22,6 +22,7 @@ const PACKAGES: [(&str, Floors); 3] = [
             &["jobs"],
             &["store"],
             &["chat", "inference", "metrics", "words"],
+            &["trace_context"],
         ],
     ),
     (

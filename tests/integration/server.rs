@@ -42,7 +42,7 @@ impl TestServer {
             models,
             vlm,
             limits,
-            log: LogConfig { log_format: LogFormat::Text },
+            log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
         };
         let running = app::start(&config).await.unwrap();
         let client = Client::new(&format!("http://{}", running.address), None).unwrap();

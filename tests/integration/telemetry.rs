@@ -1,12 +1,17 @@
 //! What a server tells of itself: metrics, numbers and readiness, held against what was done, and against the files that use them.
 
+use crate::archives::Scan;
 use crate::script::{Script, fails, says};
-use crate::server::{TestServer, ask, finished};
+use crate::server::{Process, TestServer, ask, command, finished, parsed};
+use axum::Json;
+use axum::extract::{DefaultBodyLimit, State};
 use camino::Utf8Path;
 use reqwest::Method;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::process::Stdio;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_types::batch::BatchState;
@@ -293,8 +298,8 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     };
     let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
     assert_eq!(readiness(&server).await.1.vlm.as_deref(), Some("ok"));
-    let scene = server.parsed(sample()).await.id;
-    let query = "the mug on the coffee table";
+    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let query = "the red sofa";
     let answer = server.client.ground(&scene, &ask(query)).await.unwrap();
     assert!(answer.degraded);
     tokio::time::sleep(Duration::from_millis(1100)).await;
@@ -317,7 +322,7 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     // It comes back: first with words that make no sense, then with a choice.
     let chosen = answer.candidates.as_ref().unwrap()[0].id;
     let choice = format!(
-        "Predicted ID: {chosen}\nExplanation: red\nCandidate Names: {chosen} -> mug\nTarget name matches?: True\nAnchor ID: -1\nRelation used: on"
+        "Predicted ID: {chosen}\nExplanation: red\nCandidate Names: {chosen} -> sofa\nTarget name matches?: True\nAnchor ID: -1\nRelation used: on"
     );
     script.next(vec![says("I would rather not"), says(&choice)]);
     let request = GroundRequest { reasoner: ReasonerChoice::Vlm, ..ask(query) };
@@ -338,4 +343,53 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     assert!((scrape.value("uniground_vlm_spent_today_usd", &[]) - spent).abs() < 1e-9);
     assert_eq!((spending.daily_limit_usd, scrape.value("uniground_vlm_daily_limit_usd", &[])), (Some(3.0), 3.0));
     server.stop().await;
+}
+
+/// What a collector and a model were sent: the path, `traceparent`, the body.
+type Sent = Arc<Mutex<Vec<(String, Option<String>, Vec<u8>)>>>;
+
+async fn note(State(sent): State<Sent>, request: axum::extract::Request) -> Json<Value> {
+    let (path, traceparent) =
+        (request.uri().path().to_owned(), request.headers().get("traceparent").map(|v| v.to_str().unwrap().to_owned()));
+    let body = axum::body::to_bytes(request.into_body(), 16 << 20).await.unwrap().to_vec();
+    sent.lock().unwrap().push((path, traceparent, body));
+    Json(serde_json::json!({"choices": [{"message": {"role": "assistant", "content": "I would rather not"}}]}))
+}
+
+/// A caller's trace goes on through the server to the model, and its spans go to the collector: requests, jobs, calls.
+#[tokio::test(flavor = "multi_thread")]
+async fn traces_are_taken_up_handed_on_and_sent() {
+    const TRACE: &str = "0af7651916cd43dd8448eb211c80319c";
+    let sent = Sent::default();
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let there = format!("http://{}", listener.local_addr().unwrap());
+    let router = axum::Router::new().fallback(note).layer(DefaultBodyLimit::disable()).with_state(sent.clone());
+    tokio::spawn(async move { axum::serve(listener, router).await });
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = command(Utf8Path::from_path(folder.path()).unwrap(), "127.0.0.1:0");
+    command.args(["--otlp-endpoint", &there, "--vlm-url", &format!("{there}/v1"), "--vlm-model", "scripted"]);
+    let process = Process::started(command.env("RUST_LOG", "error").stderr(Stdio::null()));
+    let scene = parsed(&process.client, "application/zip", Scan::neutral().zip()).await;
+    let request = process.client.request(Method::POST, &format!("v1/scenes/{}/ground", scene.id));
+    let request = request.header("traceparent", format!("00-{TRACE}-b7ad6b7169203331-01")).json(&ask("the red sofa"));
+    assert_eq!(request.send().await.unwrap().status(), 200);
+    assert_eq!(process.terminate(), Some(0));
+
+    let sent = sent.lock().unwrap();
+    let (calls, traces): (Vec<_>, Vec<_>) = sent.iter().partition(|(path, ..)| path == "/v1/chat/completions");
+    assert!(
+        !calls.is_empty()
+            && calls
+                .iter()
+                .all(|(_, parent, _)| parent.as_ref().is_some_and(|parent| parent.starts_with(&format!("00-{TRACE}-"))))
+    );
+    assert!(!traces.is_empty() && traces.iter().all(|(path, ..)| path == "/v1/traces"));
+    let bodies: Vec<u8> = traces.iter().flat_map(|(.., body)| body.clone()).collect();
+    let has = |what: &[u8]| bodies.windows(what.len()).any(|window| window == what);
+    let trace: Vec<u8> = (0..16).map(|i| u8::from_str_radix(&TRACE[2 * i..2 * i + 2], 16).unwrap()).collect();
+    assert!(has(&trace), "the caller's trace");
+    for span in ["request", "job", "model_call", "/v1/scenes/{scene_id}/ground"] {
+        assert!(has(span.as_bytes()), "{span}");
+    }
+    assert!(!has(b"the red sofa"), "questions stay here");
 }
