@@ -64,7 +64,7 @@ impl Scrape {
         self.samples.get(name).into_iter().flatten().filter(fits).map(|(_, value)| value).sum()
     }
 
-    /// Every name a query may use, also of families without a sample yet.
+    /// Every name a query may use.
     fn names(&self) -> BTreeSet<String> {
         let of = |(family, kind): (&String, &String)| match kind.as_str() {
             "counter" => vec![format!("{family}_total")],
@@ -220,19 +220,11 @@ async fn metrics_and_stats_tell_what_was_done() {
     restarted.stop().await;
 }
 
-/// Alerts, dashboard and manual speak of metrics that there are, the manual of all of them; no label has a value that nobody foresaw.
-#[tokio::test(flavor = "multi_thread")]
-async fn what_uses_metrics_names_those_there_are() {
-    let server = TestServer::start().await;
-    let path = "v1/scenes/0190a0a0-0000-7000-8000-000000000000";
-    for method in ["GET", "PATCH", "BREW"] {
-        let method = Method::from_bytes(method.as_bytes()).unwrap();
-        server.client.request(method, path).send().await.unwrap();
-    }
-    let scrape = scraped(&server).await;
+/// Alerts, dashboard and manual speak of metrics that there are, the manual of all of them.
+fn files_name_what_there_is(scrape: &Scrape) {
     let known = scrape.names();
     for used in ["deploy/prometheus-alerts.yml", "docs/guides/operations.md"] {
-        // A placeholder for all of them, and names that are none of metrics.
+        // The table of the manual has histograms by their family's name.
         let unknown: Vec<_> = named(&file(used))
             .into_iter()
             .filter(|name| !known.contains(name) && !scrape.types.contains_key(name))
@@ -265,7 +257,10 @@ async fn what_uses_metrics_names_those_there_are() {
     for alert in alerts {
         assert!(manual.contains(&format!("| `{alert}` |")), "the manual does not tell about {alert}");
     }
+}
 
+/// No label has a value that nobody foresaw.
+fn labels_are_bounded(scrape: &Scrape) {
     for (name, samples) in &scrape.samples {
         for (labels, _) in samples {
             for (label, value) in labels {
@@ -276,8 +271,22 @@ async fn what_uses_metrics_names_those_there_are() {
             }
         }
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn odd_requests_make_no_labels_of_their_own() {
+    let server = TestServer::start().await;
+    let path = "v1/scenes/0190a0a0-0000-7000-8000-000000000000";
+    for method in ["GET", "PATCH", "BREW"] {
+        let method = Method::from_bytes(method.as_bytes()).unwrap();
+        server.client.request(method, path).send().await.unwrap();
+    }
+    server.client.bytes("0190a0a0-0000-7000-8000-000000000000/of/mine").await.unwrap_err();
+    let scrape = scraped(&server).await;
+    labels_are_bounded(&scrape);
     assert_eq!(scrape.value("uniground_http_requests_total", &[("method", "other")]), 1.0);
     assert_eq!(scrape.value("uniground_http_requests_total", &[("route", "/v1/scenes/{scene_id}")]), 3.0);
+    assert_eq!(scrape.value("uniground_http_requests_total", &[("route", "none")]), 1.0);
     server.stop().await;
 }
 
@@ -330,7 +339,14 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     assert_eq!(answer.usage.vlm_calls, 2);
     tokio::time::sleep(Duration::from_millis(1100)).await;
     assert_eq!(readiness(&server).await.1.vlm.as_deref(), Some("ok"));
+    server.client.ground("none", &ask(query)).await.unwrap_err();
+    let items = serde_json::json!({"items": [{"scene_id": scene, "query": query, "reasoner": "builtin"}]});
+    let batch = server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
+    finished(&server.client, batch.job_id.as_deref().unwrap()).await;
     let scrape = scraped(&server).await;
+    // Everything has happened once.
+    files_name_what_there_is(&scrape);
+    labels_are_bounded(&scrape);
     let calls = |outcome| scrape.value("uniground_vlm_calls_total", &[("outcome", outcome)]);
     assert_eq!((calls("answered"), calls("refused"), calls("unreachable")), (2.0, 1.0, 0.0));
     assert_eq!(scrape.value("uniground_vlm_malformed_replies_total", &[("problem", "unreadable")]), 1.0);
