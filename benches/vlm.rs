@@ -247,7 +247,7 @@ impl Server {
             models,
             vlm: VlmConfig { vlm_url: Some(url), vlm_model: Some("instant".into()), ..VlmConfig::default() },
             limits: LimitsConfig::default(),
-            log: LogConfig { log_format: LogFormat::Text },
+            log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
         };
         let running = app::start(&config).await.unwrap();
         let client = Client::new(&format!("http://{}", running.address), None).unwrap();

@@ -343,11 +343,15 @@ pub struct LimitsConfig {
     pub retention: RetentionConfig,
 }
 
-/// What the log looks like. Its level is `RUST_LOG`'s, `info` by default.
+/// What the log looks like, and where traces go. Its level is `RUST_LOG`'s, `info` by default.
+#[allow(clippy::doc_markdown)] // Help is no Markdown.
 #[derive(Debug, Clone, clap::Args)]
 pub struct LogConfig {
     #[arg(long, env = "UNIGROUND_LOG_FORMAT", value_enum, default_value_t = LogFormat::Text)]
     pub log_format: LogFormat,
+    /// Send traces of requests, jobs and model calls to this OpenTelemetry collector, OTLP over HTTP, like <http://127.0.0.1:4318>
+    #[arg(long, env = "UNIGROUND_OTLP_ENDPOINT", value_name = "URL")]
+    pub otlp_endpoint: Option<String>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, clap::ValueEnum)]

@@ -12,5 +12,6 @@ pub mod metrics;
 pub mod service;
 pub mod store;
 pub mod telemetry;
+mod trace_context;
 pub mod webhook;
 mod words;

@@ -1,10 +1,16 @@
-//! The log, on stderr. Secrets this process was told are blotted out of it, at every level and whoever logs them.
+//! The log, on stderr, and traces, to a collector. Secrets this process was told are blotted out of it, at every level and whoever logs them.
+
+mod traces;
+
+pub use traces::Traces;
 
 use crate::config::{LogConfig, LogFormat};
 use reqwest::Url;
 use std::io::{self, Write};
 use std::sync::{PoisonError, RwLock};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
+use tracing_subscriber::{EnvFilter, Layer, fmt};
 
 /// Warnings and errors only, for commands whose output is for people.
 pub fn start_quiet() {
@@ -15,17 +21,23 @@ pub fn start_quiet() {
     }
 }
 
-/// Starts logging; a second call in the same process changes nothing.
-pub fn start(config: &LogConfig) {
+/// Starts logging, and sending traces where that is wanted, as long as what is returned lives; a second call in the same process changes
+/// nothing.
+///
+/// # Errors
+/// An endpoint that is no address.
+pub fn start(config: &LogConfig) -> anyhow::Result<Option<Traces>> {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,sqlx=warn,ort=warn"));
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| Scrubbed);
-    let started = match config.log_format {
-        LogFormat::Text => log.with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr())).try_init(),
-        LogFormat::Json => log.json().try_init(),
+    let log = fmt::layer().with_writer(|| Scrubbed);
+    let log = match config.log_format {
+        LogFormat::Text => log.with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr())).with_filter(filter).boxed(),
+        LogFormat::Json => log.json().with_filter(filter).boxed(),
     };
-    if let Err(error) = started {
+    let (layer, traces) = config.otlp_endpoint.as_deref().map(traces::sent_to).transpose()?.unzip();
+    if let Err(error) = tracing_subscriber::registry().with(log).with(layer).try_init() {
         tracing::debug!(%error, "logging runs already");
     }
+    Ok(traces)
 }
 
 static SECRETS: RwLock<Vec<String>> = RwLock::new(Vec::new());

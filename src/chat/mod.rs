@@ -2,6 +2,7 @@
 
 mod replay_cache;
 
+use crate::trace_context;
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use futures::FutureExt;
@@ -208,7 +209,7 @@ impl ChatClient {
 
     async fn send(&self, body: &Value) -> Result<Completion, Attempt> {
         let url = format!("{}/chat/completions", self.endpoint.base_url.trim_end_matches('/'));
-        let mut request = self.http.post(url).timeout(self.patience.timeout).json(body);
+        let mut request = self.http.post(url).headers(trace_context::handed_on()).timeout(self.patience.timeout).json(body);
         if let Some(key) = &self.endpoint.api_key {
             request = request.bearer_auth(key);
         }

@@ -50,7 +50,7 @@ pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
         vlm: crate::config::VlmConfig::default(),
         webhook: crate::config::WebhookConfig::default(),
         limits: crate::config::LimitsConfig::default(),
-        log: LogConfig { log_format: LogFormat::Text },
+        log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
     };
     let running = app::start(&config).await?;
     println!("uniground {} on http://{}, data in a fresh folder\n", env!("CARGO_PKG_VERSION"), running.address);

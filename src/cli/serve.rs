@@ -7,7 +7,8 @@ use std::io::Write;
 use tokio::signal::unix::{SignalKind, signal};
 
 pub async fn run(config: &ServeConfig) -> anyhow::Result<()> {
-    telemetry::start(&config.log);
+    // Sends what is left when this ends.
+    let _traces = telemetry::start(&config.log)?;
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut running = app::start(config).await?;

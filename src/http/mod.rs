@@ -27,6 +27,7 @@ pub use scopes::Scopes;
 
 use crate::metrics::Metrics;
 use crate::service::Service;
+use crate::trace_context;
 use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderName, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
@@ -199,7 +200,9 @@ fn without_odd_id(mut request: Request) -> Request {
 fn span_of(request: &Request) -> Span {
     let id = request.headers().get(REQUEST_ID).and_then(|id| id.to_str().ok()).unwrap_or_default();
     let route = request.extensions().get::<MatchedPath>().map_or_else(|| request.uri().path(), MatchedPath::as_str);
-    tracing::info_span!("request", id, method = %request.method(), route, path = request.uri().path())
+    let span = tracing::info_span!("request", id, method = %request.method(), route, path = request.uri().path());
+    trace_context::adopt(&span, request.headers());
+    span
 }
 
 /// The panic itself is on stderr, with its place; here it gets the request's ids.

@@ -72,6 +72,12 @@ impl Questions {
         registry.register("questions_computing", "Places at work on questions that are taken", questions.computing.clone());
         registry.register("questions_computing_limit", "Places at work on questions", questions.computing_limit.clone());
         registry.register("uploads_in_flight", "Uploads being received", questions.uploads.clone());
+        // What has not happened yet is told as 0: rates are right from the first time on.
+        for status in STATUSES {
+            let reasoner = if status == "failed" { "none" } else { "builtin" };
+            questions.answered.get_or_create(&[("status", status), ("reasoner", reasoner)]).inc_by(0);
+            questions.items.get_or_create(&[("outcome", status)]).inc_by(0);
+        }
         questions
     }
 

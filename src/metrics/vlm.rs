@@ -9,6 +9,9 @@ use prometheus_client::registry::{Registry, Unit};
 use std::sync::atomic::AtomicU64;
 use std::time::Duration;
 
+/// What may be wrong with a reply: what the call is for that asks again.
+const MALFORMED: [&str; 3] = ["unreadable", "out_of_set", "inconsistent"];
+
 /// What the model is asked, and what it takes.
 pub struct Vlm {
     calls: Family<Labels<1>, Counter>,
@@ -57,6 +60,10 @@ impl Vlm {
         for outcome in outcomes {
             self.calls.get_or_create(&[("outcome", outcome)]).inc_by(0);
         }
+        for problem in MALFORMED {
+            self.malformed.get_or_create(&[("problem", problem)]).inc_by(0);
+        }
+        self.counted(0, 0);
     }
 
     /// A call ended.
@@ -77,8 +84,10 @@ impl Vlm {
         self.spent.inc_by(usd.max(0.0));
     }
 
-    /// A reply did not hold together.
-    pub fn malformed(&self, problem: &'static str) {
-        self.malformed.get_or_create(&[("problem", problem)]).inc();
+    /// A call was made for this purpose: some are made because the reply before did not hold together.
+    pub fn purpose(&self, purpose: &str) {
+        if let Some(problem) = MALFORMED.into_iter().find(|problem| *problem == purpose) {
+            self.malformed.get_or_create(&[("problem", problem)]).inc();
+        }
     }
 }

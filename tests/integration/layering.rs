@@ -22,6 +22,7 @@ const PACKAGES: [(&str, Floors); 3] = [
             &["jobs"],
             &["store"],
             &["chat", "inference", "metrics", "webhook", "words"],
+            &["trace_context"],
         ],
     ),
     (

@@ -43,7 +43,7 @@ impl TestServer {
             vlm,
             webhook: WebhookConfig::default(),
             limits,
-            log: LogConfig { log_format: LogFormat::Text },
+            log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
         };
         let running = app::start(&config).await.unwrap();
         let client = Client::new(&format!("http://{}", running.address), None).unwrap();

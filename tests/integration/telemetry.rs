@@ -1,12 +1,17 @@
 //! What a server tells of itself: metrics, numbers and readiness, held against what was done, and against the files that use them.
 
+use crate::archives::Scan;
 use crate::script::{Script, fails, says};
-use crate::server::{TestServer, ask, finished};
+use crate::server::{Process, TestServer, ask, command, finished, parsed};
+use axum::Json;
+use axum::extract::{DefaultBodyLimit, State};
 use camino::Utf8Path;
 use reqwest::Method;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
+use std::process::Stdio;
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_types::batch::BatchState;
@@ -59,7 +64,7 @@ impl Scrape {
         self.samples.get(name).into_iter().flatten().filter(fits).map(|(_, value)| value).sum()
     }
 
-    /// Every name a query may use, also of families without a sample yet.
+    /// Every name a query may use.
     fn names(&self) -> BTreeSet<String> {
         let of = |(family, kind): (&String, &String)| match kind.as_str() {
             "counter" => vec![format!("{family}_total")],
@@ -123,7 +128,6 @@ async fn metrics_and_stats_tell_what_was_done() {
     let before = scraped(&server).await;
     assert_eq!((before.value("uniground_scenes", &[]), before.value("uniground_ready", &[])), (0.0, 1.0));
     assert_eq!(before.value("uniground_jobs_finished_total", &[]), 0.0);
-    assert!(before.samples["uniground_jobs_finished_total"].len() >= 9, "zeros of every kind and state");
     let scene = server.parsed(sample()).await.id;
     let again = server.client.create_scene(Some("again"), "application/zip", sample()).await.unwrap();
     finished(&server.client, &again.job.unwrap().id).await;
@@ -153,6 +157,7 @@ async fn metrics_and_stats_tell_what_was_done() {
     assert_eq!(first.value("uniground_batch_items_total", &[]), 2.0);
     assert_eq!(first.value("uniground_jobs_finished_total", &[("kind", "parse"), ("state", "succeeded")]), 2.0);
     assert_eq!(first.value("uniground_jobs_finished_total", &[("kind", "batch"), ("state", "succeeded")]), 1.0);
+    assert_eq!(first.samples["uniground_jobs_finished_total"].len(), 9, "what has not happened yet is told as 0");
     assert_eq!(first.value("uniground_parse_duration_seconds_count", &[]), 1.0, "the second scene took the first one's parse");
     let stages = first.value("uniground_parse_stage_duration_seconds_sum", &[]);
     assert!(stages > 0.0 && stages <= first.value("uniground_parse_duration_seconds_sum", &[]) * 1.01, "{stages}");
@@ -205,28 +210,21 @@ async fn metrics_and_stats_tell_what_was_done() {
     let scrape = scraped(&restarted).await;
     assert_eq!(scrape.value("uniground_blobs_size_bytes", &[("kind", "parses")]), sizes["parses"] as f64);
     assert_eq!((scrape.value("uniground_answers", &[]), scrape.value("uniground_questions_total", &[])), (4.0, 0.0));
-    let start = Instant::now();
+    let mut fastest = Duration::MAX;
     for _ in 0..20 {
+        let start = Instant::now();
         scraped(&restarted).await;
+        fastest = fastest.min(start.elapsed());
     }
-    let each = start.elapsed() / 20;
-    assert!(each < Duration::from_millis(50), "a scrape takes {each:?}");
+    assert!(fastest < Duration::from_millis(20), "a scrape takes {fastest:?}");
     restarted.stop().await;
 }
 
-/// Alerts, dashboard and manual speak of metrics that there are, the manual of all of them; no label has a value that nobody foresaw.
-#[tokio::test(flavor = "multi_thread")]
-async fn what_uses_metrics_names_those_there_are() {
-    let server = TestServer::start().await;
-    let path = "v1/scenes/0190a0a0-0000-7000-8000-000000000000";
-    for method in ["GET", "PATCH", "BREW"] {
-        let method = Method::from_bytes(method.as_bytes()).unwrap();
-        server.client.request(method, path).send().await.unwrap();
-    }
-    let scrape = scraped(&server).await;
+/// Alerts, dashboard and manual speak of metrics that there are, the manual of all of them.
+fn files_name_what_there_is(scrape: &Scrape) {
     let known = scrape.names();
     for used in ["deploy/prometheus-alerts.yml", "docs/guides/operations.md"] {
-        // A placeholder for all of them, and names that are none of metrics.
+        // The table of the manual has histograms by their family's name.
         let unknown: Vec<_> = named(&file(used))
             .into_iter()
             .filter(|name| !known.contains(name) && !scrape.types.contains_key(name))
@@ -259,7 +257,10 @@ async fn what_uses_metrics_names_those_there_are() {
     for alert in alerts {
         assert!(manual.contains(&format!("| `{alert}` |")), "the manual does not tell about {alert}");
     }
+}
 
+/// No label has a value that nobody foresaw.
+fn labels_are_bounded(scrape: &Scrape) {
     for (name, samples) in &scrape.samples {
         for (labels, _) in samples {
             for (label, value) in labels {
@@ -270,8 +271,22 @@ async fn what_uses_metrics_names_those_there_are() {
             }
         }
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn odd_requests_make_no_labels_of_their_own() {
+    let server = TestServer::start().await;
+    let path = "v1/scenes/0190a0a0-0000-7000-8000-000000000000";
+    for method in ["GET", "PATCH", "BREW"] {
+        let method = Method::from_bytes(method.as_bytes()).unwrap();
+        server.client.request(method, path).send().await.unwrap();
+    }
+    server.client.bytes("0190a0a0-0000-7000-8000-000000000000/of/mine").await.unwrap_err();
+    let scrape = scraped(&server).await;
+    labels_are_bounded(&scrape);
     assert_eq!(scrape.value("uniground_http_requests_total", &[("method", "other")]), 1.0);
     assert_eq!(scrape.value("uniground_http_requests_total", &[("route", "/v1/scenes/{scene_id}")]), 3.0);
+    assert_eq!(scrape.value("uniground_http_requests_total", &[("route", "none")]), 1.0);
     server.stop().await;
 }
 
@@ -292,8 +307,8 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     };
     let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
     assert_eq!(readiness(&server).await.1.vlm.as_deref(), Some("ok"));
-    let scene = server.parsed(sample()).await.id;
-    let query = "the mug on the coffee table";
+    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let query = "the red sofa";
     let answer = server.client.ground(&scene, &ask(query)).await.unwrap();
     assert!(answer.degraded);
     tokio::time::sleep(Duration::from_millis(1100)).await;
@@ -316,7 +331,7 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     // It comes back: first with words that make no sense, then with a choice.
     let chosen = answer.candidates.as_ref().unwrap()[0].id;
     let choice = format!(
-        "Predicted ID: {chosen}\nExplanation: red\nCandidate Names: {chosen} -> mug\nTarget name matches?: True\nAnchor ID: -1\nRelation used: on"
+        "Predicted ID: {chosen}\nExplanation: red\nCandidate Names: {chosen} -> sofa\nTarget name matches?: True\nAnchor ID: -1\nRelation used: on"
     );
     script.next(vec![says("I would rather not"), says(&choice)]);
     let request = GroundRequest { reasoner: ReasonerChoice::Vlm, ..ask(query) };
@@ -324,7 +339,14 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     assert_eq!(answer.usage.vlm_calls, 2);
     tokio::time::sleep(Duration::from_millis(1100)).await;
     assert_eq!(readiness(&server).await.1.vlm.as_deref(), Some("ok"));
+    server.client.ground("none", &ask(query)).await.unwrap_err();
+    let items = serde_json::json!({"items": [{"scene_id": scene, "query": query, "reasoner": "builtin"}]});
+    let batch = server.client.create_batch(&serde_json::from_value(items).unwrap(), None).await.unwrap();
+    finished(&server.client, batch.job_id.as_deref().unwrap()).await;
     let scrape = scraped(&server).await;
+    // Everything has happened once.
+    files_name_what_there_is(&scrape);
+    labels_are_bounded(&scrape);
     let calls = |outcome| scrape.value("uniground_vlm_calls_total", &[("outcome", outcome)]);
     assert_eq!((calls("answered"), calls("refused"), calls("unreachable")), (2.0, 1.0, 0.0));
     assert_eq!(scrape.value("uniground_vlm_malformed_replies_total", &[("problem", "unreadable")]), 1.0);
@@ -337,4 +359,53 @@ async fn a_model_that_is_down_is_told_and_does_not_make_the_server_unready() {
     assert!((scrape.value("uniground_vlm_spent_today_usd", &[]) - spent).abs() < 1e-9);
     assert_eq!((spending.daily_limit_usd, scrape.value("uniground_vlm_daily_limit_usd", &[])), (Some(3.0), 3.0));
     server.stop().await;
+}
+
+/// What a collector and a model were sent: the path, `traceparent`, the body.
+type Sent = Arc<Mutex<Vec<(String, Option<String>, Vec<u8>)>>>;
+
+async fn note(State(sent): State<Sent>, request: axum::extract::Request) -> Json<Value> {
+    let (path, traceparent) =
+        (request.uri().path().to_owned(), request.headers().get("traceparent").map(|v| v.to_str().unwrap().to_owned()));
+    let body = axum::body::to_bytes(request.into_body(), 16 << 20).await.unwrap().to_vec();
+    sent.lock().unwrap().push((path, traceparent, body));
+    Json(serde_json::json!({"choices": [{"message": {"role": "assistant", "content": "I would rather not"}}]}))
+}
+
+/// A caller's trace goes on through the server to the model, and its spans go to the collector: requests, jobs, calls.
+#[tokio::test(flavor = "multi_thread")]
+async fn traces_are_taken_up_handed_on_and_sent() {
+    const TRACE: &str = "0af7651916cd43dd8448eb211c80319c";
+    let sent = Sent::default();
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let there = format!("http://{}", listener.local_addr().unwrap());
+    let router = axum::Router::new().fallback(note).layer(DefaultBodyLimit::disable()).with_state(sent.clone());
+    tokio::spawn(async move { axum::serve(listener, router).await });
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = command(Utf8Path::from_path(folder.path()).unwrap(), "127.0.0.1:0");
+    command.args(["--otlp-endpoint", &there, "--vlm-url", &format!("{there}/v1"), "--vlm-model", "scripted"]);
+    let process = Process::started(command.env("RUST_LOG", "error").stderr(Stdio::null()));
+    let scene = parsed(&process.client, "application/zip", Scan::neutral().zip()).await;
+    let request = process.client.request(Method::POST, &format!("v1/scenes/{}/ground", scene.id));
+    let request = request.header("traceparent", format!("00-{TRACE}-b7ad6b7169203331-01")).json(&ask("the red sofa"));
+    assert_eq!(request.send().await.unwrap().status(), 200);
+    assert_eq!(process.terminate(), Some(0));
+
+    let sent = sent.lock().unwrap();
+    let (calls, traces): (Vec<_>, Vec<_>) = sent.iter().partition(|(path, ..)| path == "/v1/chat/completions");
+    assert!(
+        !calls.is_empty()
+            && calls
+                .iter()
+                .all(|(_, parent, _)| parent.as_ref().is_some_and(|parent| parent.starts_with(&format!("00-{TRACE}-"))))
+    );
+    assert!(!traces.is_empty() && traces.iter().all(|(path, ..)| path == "/v1/traces"));
+    let bodies: Vec<u8> = traces.iter().flat_map(|(.., body)| body.clone()).collect();
+    let has = |what: &[u8]| bodies.windows(what.len()).any(|window| window == what);
+    let trace: Vec<u8> = (0..16).map(|i| u8::from_str_radix(&TRACE[2 * i..2 * i + 2], 16).unwrap()).collect();
+    assert!(has(&trace), "the caller's trace");
+    for span in ["request", "job", "model_call", "/v1/scenes/{scene_id}/ground"] {
+        assert!(has(span.as_bytes()), "{span}");
+    }
+    assert!(!has(b"the red sofa"), "questions stay here");
 }

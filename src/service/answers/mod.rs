@@ -82,11 +82,7 @@ impl Service {
             None => answered.await,
         };
         let answered = answered?;
-        for call in &answered.calls {
-            if matches!(call.purpose, "out_of_set" | "unreadable" | "inconsistent") {
-                self.metrics.vlm.malformed(call.purpose);
-            }
-        }
+        answered.calls.iter().for_each(|call| self.metrics.vlm.purpose(call.purpose));
         let version = u32::try_from(scene.parse_version).unwrap_or(0);
         let mut answer = self.told(&answered, asker.answer_id, scene.id, version, source.parse.masks.clone());
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());

@@ -7,6 +7,7 @@ use futures::FutureExt;
 use futures::future::BoxFuture;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
+use tracing::{Instrument, field};
 use uniground_core::models::chat::{ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Prices};
 use uniground_core::models::with_causes;
 
@@ -114,8 +115,9 @@ impl ChatModel for Metered {
 
     fn ask<'a>(&'a self, request: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
         async move {
+            let span = tracing::info_span!("model_call", model = self.name(), outcome = field::Empty, attempts = field::Empty);
             let mut counted = Counted { metered: self, start: Instant::now(), thought_usd: Some(self.prices().thought_usd(request)) };
-            let answered = self.ask_paid(request).await;
+            let answered = self.ask_paid(request).instrument(span.clone()).await;
             counted.thought_usd = None;
             let (attempts, usd) = match &answered {
                 Ok(reply) => {
@@ -124,7 +126,9 @@ impl ChatModel for Metered {
                 }
                 Err(failure) => (failure.attempts, self.prices().paid_usd(request, &answered)),
             };
-            self.count(outcome_of(&answered), attempts, counted.start, usd);
+            let outcome = outcome_of(&answered);
+            span.record("outcome", outcome).record("attempts", attempts);
+            self.count(outcome, attempts, counted.start, usd);
             answered
         }
         .boxed()

@@ -1,0 +1,49 @@
+//! Traces: the spans of requests, jobs and calls of models, sent to an OpenTelemetry collector (OTLP over HTTP).
+//!
+//! Spans only, no lines of the log: what is sent are ids, routes, kinds and outcomes. The log alone is scrubbed of secrets, and stays here.
+
+use anyhow::{Context, ensure};
+use opentelemetry::trace::TracerProvider;
+use opentelemetry_otlp::{SpanExporter, WithExportConfig};
+use opentelemetry_sdk::Resource;
+use opentelemetry_sdk::trace::SdkTracerProvider;
+use reqwest::Url;
+use tracing::Subscriber;
+use tracing::level_filters::LevelFilter;
+use tracing_subscriber::Layer;
+use tracing_subscriber::filter::filter_fn;
+use tracing_subscriber::registry::LookupSpan;
+use uniground_client::choose_cryptography;
+
+/// Sends spans as long as it lives, and what is left when it goes.
+pub struct Traces(SdkTracerProvider);
+
+impl Drop for Traces {
+    fn drop(&mut self) {
+        if let Err(error) = self.0.shutdown() {
+            tracing::warn!(%error, "the last traces could not be sent");
+        }
+    }
+}
+
+/// A layer that sends spans to a collector, by its address without `/v1/traces`. How many are sent is up to the variables of OpenTelemetry
+/// (`OTEL_TRACES_SAMPLER`), and to callers who say so in `traceparent`.
+pub(super) fn sent_to<S>(endpoint: &str) -> anyhow::Result<(Box<dyn Layer<S> + Send + Sync>, Traces)>
+where
+    S: Subscriber + for<'a> LookupSpan<'a> + Send + Sync,
+{
+    ensure!(Url::parse(endpoint).is_ok_and(|url| url.has_host()), "--otlp-endpoint: this is not an address");
+    super::hide_secrets_of(endpoint);
+    choose_cryptography();
+    let url = format!("{}/v1/traces", endpoint.trim_end_matches('/'));
+    let exporter = SpanExporter::builder().with_http().with_endpoint(url).build().context("--otlp-endpoint")?;
+    let service = Resource::builder().with_service_name(env!("CARGO_PKG_NAME")).build();
+    let provider = SdkTracerProvider::builder().with_batch_exporter(exporter).with_resource(service).build();
+    let ours = filter_fn(|seen| seen.is_span() && seen.target().starts_with("uniground")).with_max_level_hint(LevelFilter::INFO);
+    let layer = tracing_opentelemetry::layer()
+        .with_tracer(provider.tracer("uniground"))
+        .with_location(false)
+        .with_threads(false)
+        .with_filter(ours);
+    Ok((layer.boxed(), Traces(provider)))
+}
