@@ -50,8 +50,6 @@ class Storm:
     complaints: list = field(default_factory=list)
     # Reservations that a kill left behind, by id: US dollars.
     reserved: dict = field(default_factory=dict)
-    put_off_wrongly: list = field(default_factory=list)
-    put_off: int = 0
 
 
 def moments(kills, full):
@@ -68,7 +66,8 @@ def moments(kills, full):
             # While it starts; soon after a reply of the model, when its answer is being kept; at any moment.
             kind = dice.choices(["starting", "reply", "any"], [15, 35, 50])[0]
             wait = {"starting": dice.uniform(0.0, 0.15), "reply": dice.uniform(0.0, 0.02), "any": dice.uniform(0.3, 3.5)}[kind]
-            plan.append((kind, wait if full or kind != "any" else 0.5 + wait / 2))
+            # In the short form long enough for a parse to get further: one that does not is put off for 30 s, and nobody waits for that there.
+            plan.append((kind, wait if full or kind != "any" else 1.2 + wait / 4))
     return plan
 
 
@@ -97,8 +96,12 @@ def undisturbed(program, folder, number, scans):
     model = Model()
     with Server(program, folder / "calm", folder / "calm.log", *model.flags) as server:
         scenes = prepare(server.ready(), scans)
-        batch = Batch(items_of(scenes, number))
+        batch, stop = Batch(items_of(scenes, number)), threading.Event()
+        watching = threading.Thread(target=watch, args=(server, batch, [], stop), daemon=True)
+        watching.start()
         batch.live(server)
+        stop.set()
+        watching.join()
         connection = server.connection()
         first = instances(connection, scenes[0])
         job = expect(connection.call("POST", f"/v1/scenes/{scenes[0]}/parse", OTHER_SETTINGS), 202)
@@ -110,26 +113,25 @@ def undisturbed(program, folder, number, scans):
     return verdict.answers(batch.followed), (first, second), len(model.calls), stumbled
 
 
-def watch(server, batch, storm, stop):
-    """Looks whether the batch's job was put off though it got further in the last life, and puts it on again so that kills find it at work."""
-    last = storm.lives[-1] if storm.lives else None
-    before = len(storm.lives[-2].kept) if len(storm.lives) > 1 else 0
-    connection, noted = server.connection(), False
+def watch(server, batch, lives, stop):
+    """Looks whether the batch's job waits for another try, and has it put on at once, so that kills find it at work."""
+    last = lives[-1] if lives else None
+    gained = len(last.kept) - (len(lives[-2].kept) if len(lives) > 1 else 0) if last else 0
+    connection = server.connection()
     while not stop.wait(0.6):
         if batch.id is None:
             continue
         state = expect(connection.call("GET", f"/v1/batches/{batch.id}"), 200)
         job = expect(connection.call("GET", f"/v1/jobs/{state['job_id']}"), 200)
-        if state["state"] == "running" and job["state"] == "queued" and job["attempts"] > 0 and not noted:
-            noted = True
-            storm.put_off += 1
-            gained = len(last.kept) - before if last else 0
-            interrupted = last is not None and last.interruptions is not None and last.interruptions >= 2
-            if interrupted and last.lasted_s >= LONG_LIFE_S and gained >= MANY_ANSWERS:
-                storm.put_off_wrongly.append(f"after a life of {last.lasted_s:.1f} s in which {gained} items were answered")
+        if state["state"] == "running" and job["state"] == "queued" and job["attempts"] > 0:
+            batch.put_off += 1
+            # It had been interrupted twice before, as the server counts, and this was the third time without getting further?
+            counted = last is not None and last.interruptions is not None and last.interruptions >= 2
+            if counted and last.lasted_s >= LONG_LIFE_S and gained >= MANY_ANSWERS:
+                batch.put_off_wrongly.append(f"after a life of {last.lasted_s:.1f} s in which {gained} items were answered")
+            last = None
+            batch.stopped.add(job["id"])
             connection.call("DELETE", f"/v1/jobs/{job['id']}")
-        if noted:
-            connection.call("POST", f"/v1/batches/{batch.id}/resume")
 
 
 def at_work(storm, server, workers, stop):
@@ -145,7 +147,7 @@ def at_work(storm, server, workers, stop):
             storm.complaints.append(f"{work.__qualname__}: {type(error).__name__}: {error}")
     batch = next(worker for worker in workers if isinstance(worker, Batch))
     threads = [threading.Thread(target=live, args=(worker.live, server), daemon=True) for worker in workers]
-    threads.append(threading.Thread(target=live, args=(watch, server, batch, storm, stop), daemon=True))
+    threads.append(threading.Thread(target=live, args=(watch, server, batch, storm.lives, stop), daemon=True))
     for thread in threads:
         thread.start()
     return threads
@@ -238,6 +240,7 @@ def run(program, folder, full, kills=None):
     told = finish(program, folder, storm, workers, full)
     table.row("kills", f"{storm_s:.0f} s; the end {time.time() - start:.0f} s")
     model.shutdown()
+    verdict.judge_batch_job(table, batch)
     verdict.judge(table, storm, told, expected, parses, folder / "storm")
     numbers, examples = log_lines(folder / "storm.log", ("WARN", "ERROR"))
     # The model always answers and the disk has room: no job has a reason to stumble.

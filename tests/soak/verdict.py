@@ -86,6 +86,15 @@ def paid_twice(storm, number_of):
     return after_kept, within, again
 
 
+def judge_batch_job(table, batch):
+    """Whether the batch's job went on after every kill. Interruptions count only while a job gets no further."""
+    table.row("batch put off though it got further", len(batch.put_off_wrongly), "0", not batch.put_off_wrongly)
+    table.row("batch put off in all, and put on again by this script", batch.put_off, "told only")
+    table.equal("batch paused though nobody asked for it", batch.paused, 0)
+    for what in batch.put_off_wrongly[:3]:
+        table.note(f"put off {what}")
+
+
 def judge(table, storm, told, expected, parses, data):
     """The batch, its money, uploads and jobs."""
     number = len(storm.items)
@@ -147,10 +156,6 @@ def judge(table, storm, told, expected, parses, data):
               not failed and not open_jobs and not told.lost_jobs)
     for job in failed + open_jobs:
         table.note(f"job: {job}")
-    table.row("batch put off though it got further", len(storm.put_off_wrongly), "0", not storm.put_off_wrongly)
-    table.row("batch put off in all", storm.put_off, "told only")
-    for what in storm.put_off_wrongly[:3]:
-        table.note(f"put off {what}")
     table.row("answers and connections that should not be", len(storm.complaints), "0", not storm.complaints)
     for complaint in storm.complaints[:5]:
         table.note(f"should not be: {complaint[:400]}")

@@ -77,6 +77,10 @@ class Batch:
     def __init__(self, items):
         self.lines = "".join(json.dumps(item) + "\n" for item in items).encode()
         self.id, self.followed = None, []
+        # Jobs that this script stopped, to have the batch put on at once; how often the batch was paused for another reason.
+        self.stopped, self.paused = set(), 0
+        # How often its job waited for another try; why that was wrong, where it was.
+        self.put_off, self.put_off_wrongly = 0, []
 
     def live(self, server):
         connection = server.connection()
@@ -86,8 +90,12 @@ class Batch:
         while True:
             for line in connection.stream(f"/v1/batches/{self.id}/results?follow=true&from={len(self.followed)}"):
                 self.followed.append(line)
-            if expect(connection.call("GET", f"/v1/batches/{self.id}"), 200)["state"] in ("succeeded", "cancelled"):
+            batch = expect(connection.call("GET", f"/v1/batches/{self.id}"), 200)
+            if batch["state"] in ("succeeded", "cancelled"):
                 return
+            if batch["state"] == "paused":
+                self.paused += batch["job_id"] not in self.stopped
+                expect(connection.call("POST", f"/v1/batches/{self.id}/resume"), 200)
             time.sleep(0.1)
 
 
