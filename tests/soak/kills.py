@@ -208,9 +208,6 @@ def finish(program, folder, storm, workers, full):
         stop.set()
         if any(thread.is_alive() for thread in threads[:2]):
             storm.complaints.append(f"not everything was over after {END_S[full]} s")
-        elif full:
-            # Folders that no record speaks of are swept a minute after the start.
-            time.sleep(max(0.0, began + HOUSEKEEPING_S + 4 - time.time()))
         told = verdict.Told(server, batch, uploader, asker)
         told.exit_code = server.terminate()
     return told
@@ -245,7 +242,7 @@ def run(program, folder, full, kills=None):
     numbers, examples = log_lines(folder / "storm.log", ("WARN", "ERROR"))
     # The model always answers and the disk has room: no job has a reason to stumble.
     table.equal("tries of jobs that failed, by the log", numbers["job failed"], 0)
-    verdict.judge_folder(table, lambda *flags: doctor(program, folder / "storm", *flags), full)
+    verdict.judge_folder(table, *doctor(program, folder / "storm"))
     for message, count in numbers.most_common(8):
         table.note(f"log, {count} times: {examples[message][:300]}")
     return table

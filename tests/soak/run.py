@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Hours of a server's life in minutes: kills, crowds, long lists.
+"""What months do to a server, in minutes: kills, crowds, long lists.
 
 usage: run.py --program target/release/uniground [--full] [--only kills|traffic|batch]
 
@@ -15,6 +15,9 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+
+# The checkout stays as it is.
+sys.dont_write_bytecode = True
 
 PARTS = ["kills", "traffic", "batch"]
 

@@ -87,7 +87,7 @@ def log_lines(log, levels=("ERROR",)):
     return numbers, examples
 
 
-def doctor(program, data, *flags):
+def doctor(program, data):
     """What `uniground doctor` says of a stopped server's folder: exit code and text."""
-    done = subprocess.run([program, "doctor", "--data-dir", data, *flags], capture_output=True, text=True)
+    done = subprocess.run([program, "doctor", "--data-dir", data], capture_output=True, text=True)
     return done.returncode, done.stdout + done.stderr

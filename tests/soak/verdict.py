@@ -53,6 +53,10 @@ class Told:
         self.lost_scenes = [name for name, scene in uploader.scenes.items() if scene not in by_id]
         self.parsed = [(by_id[scene]["parse_version"], instances(connection, scene)) for scene in uploader.scenes.values() if scene in by_id]
         self.lost_jobs = [job for job in uploader.jobs if connection.call("GET", f"/v1/jobs/{job}").status != 200]
+        asked = [json.loads(line) for line in self.results]
+        asked = [line["answer_id"] for line in asked if (line.get("answer") or {}).get("usage", {}).get("vlm_calls")]
+        self.transcripts = len(asked)
+        self.lost_transcripts = [id for id in asked if connection.call("GET", f"/v1/answers/{id}/prompt").status != 200]
         self.answers_given = len(asker.given)
         self.lost_answers = sum(connection.call("GET", f"/v1/answers/{id}").body != body for id, body in asker.given.items())
 
@@ -152,6 +156,7 @@ def judge(table, storm, told, expected, parses, data):
     others = sum(found != parses[version > 1] for version, found in told.parsed)
     table.row("parses unlike those of the undisturbed run", others, "0", others == 0)
     table.row("single answers acknowledged", f"{told.answers_given}, lost or changed {told.lost_answers}", "lost 0", told.lost_answers == 0)
+    table.row("prompts of the batch's answers", f"{told.transcripts}, lost {len(told.lost_transcripts)}", "lost 0", not told.lost_transcripts)
     table.row("jobs", f"failed {len(failed)}, not over {len(open_jobs)}, lost {len(told.lost_jobs)}", "0, 0, 0",
               not failed and not open_jobs and not told.lost_jobs)
     for job in failed + open_jobs:
@@ -162,18 +167,8 @@ def judge(table, storm, told, expected, parses, data):
     table.equal("exit code of the last server", told.exit_code, 0)
 
 
-def judge_folder(table, doctor, full):
-    """Whether the folder is whole. Folders that no record speaks of are swept a minute after a start: where the last server did not live so
-    long, the doctor may name those and nothing else, and has to mend them."""
-    code, text = doctor()
-    findings = [line for line in text.splitlines() if "blobs/" in line or "│" in line and "trouble" not in line.lower()]
-    if full:
-        table.row("doctor", text.strip().splitlines()[-1][:80], "whole", code == 0)
-    else:
-        others = [line for line in findings if "unclaimed" not in line]
-        table.row("doctor, before the sweep", f"unclaimed folders {len(findings) - len(others)}, else {len(others)}", "else 0", not others)
-        repaired, _ = doctor("--repair")
-        code, text = doctor()
-        table.row("doctor, after its repair", text.strip().splitlines()[-1][:80], "whole", (repaired, code) == (0, 0))
-    if code or (findings and full):
+def judge_folder(table, code, text):
+    """Whether the stopped server's folder is whole, as the doctor says. What kills left was swept when the last server started."""
+    table.row("doctor", text.strip().splitlines()[-1][-60:], "whole", code == 0)
+    if code:
         table.note(text[:2000])
