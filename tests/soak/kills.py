@@ -22,8 +22,9 @@ WIDTH = 4
 USUAL_LIFE_S = 1.5
 # A server keeps house a minute after its start.
 HOUSEKEEPING_S = 60
-# A batch that lived so long and got so many answers has got further, whatever the last half second held.
-LONG_LIFE_S, MANY_ANSWERS = 1.5, 10
+# Lives in a row that lasted so long together, and brought so many answers, have brought a batch further, whatever the last half second of
+# each held: progress is written down twice a second.
+LONG_S, MANY_ANSWERS = 3.0, 20
 # What is left to finish has to be finished by then.
 END_S = {False: 180, True: 1200}
 
@@ -113,10 +114,23 @@ def undisturbed(program, folder, number, scans):
     return verdict.answers(batch.followed), (first, second), len(model.calls), stumbled
 
 
+def no_reason_to_wait(lives):
+    """Why a batch should not have been put off: in the lives that the server counts as without progress it was answered. None where that
+    can not be said."""
+    if not lives or (lives[-1].interruptions or 0) < 2:
+        return None
+    # Those counted before the last kill, and the one that this kill ended.
+    counted = lives[-lives[-1].interruptions - 1:]
+    before = lives[-len(counted) - 1].kept if len(lives) > len(counted) else set()
+    lasted, gained = sum(life.lasted_s for life in counted), len(counted[-1].kept) - len(before)
+    if lasted < LONG_S or gained < MANY_ANSWERS:
+        return None
+    return f"for want of progress, after {len(counted)} lives of {lasted:.1f} s together in which {gained} items were answered"
+
+
 def watch(server, batch, lives, stop):
     """Looks whether the batch's job waits for another try, and has it put on at once, so that kills find it at work."""
-    last = lives[-1] if lives else None
-    gained = len(last.kept) - (len(lives[-2].kept) if len(lives) > 1 else 0) if last else 0
+    why = no_reason_to_wait(lives)
     connection = server.connection()
     while not stop.wait(0.6):
         if batch.id is None:
@@ -125,11 +139,8 @@ def watch(server, batch, lives, stop):
         job = expect(connection.call("GET", f"/v1/jobs/{state['job_id']}"), 200)
         if state["state"] == "running" and job["state"] == "queued" and job["attempts"] > 0:
             batch.put_off += 1
-            # It had been interrupted twice before, as the server counts, and this was the third time without getting further?
-            counted = last is not None and last.interruptions is not None and last.interruptions >= 2
-            if counted and last.lasted_s >= LONG_LIFE_S and gained >= MANY_ANSWERS:
-                batch.put_off_wrongly.append(f"after a life of {last.lasted_s:.1f} s in which {gained} items were answered")
-            last = None
+            batch.put_off_wrongly += [why] if why else []
+            why = None
             batch.stopped.add(job["id"])
             connection.call("DELETE", f"/v1/jobs/{job['id']}")
 
