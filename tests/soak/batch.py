@@ -4,6 +4,7 @@ import multiprocessing
 import statistics
 import time
 
+from machine import Watch
 from questions import questions
 from scans import Scans
 from server import Server, log_lines
@@ -76,7 +77,7 @@ def run(program, folder, full):
         # Caches fill, and each way is tried once before it counts.
         bare_loop(server.address, requests[:300])
         one_batch(connection, b"".join(lines.splitlines(keepends=True)[:300]))
-        loops, batches, wrong = [], [], 0
+        loops, batches, wrong, watch = [], [], 0, Watch(server)
         for _ in range(rounds):
             took, none = bare_loop(server.address, requests)
             loops.append(took)
@@ -84,11 +85,17 @@ def run(program, folder, full):
             took, none = one_batch(connection, lines)
             batches.append(took)
             wrong += none
+        watch.row(table)
         loop, whole = statistics.median(loops), statistics.median(batches)
         listed = lambda figures: ", ".join(f"{figure:.2f}" for figure in figures)
         table.row(f"bare loop, {WORKERS} workers", f"{listed(loops)} s; median {number / loop:.0f} a second")
         table.row("batch, submitted and read", f"{listed(batches)} s; median {number / whole:.0f} a second")
-        table.row("batch over loop, medians", f"{whole / loop:.2f}", "1.3 at most" if full else "told only", not full or whole / loop <= 1.3)
+        # Each round by itself: what the machine does beside it weighs on both halves of a round alike.
+        ratios = [batch / loop for batch, loop in zip(batches, loops)]
+        ratio = statistics.median(ratios)
+        table.row("batch over loop, round by round", f"{listed(ratios)}; median {ratio:.2f}", "1.3 at most" if full else "told only",
+                  not full or ratio <= 1.3)
+        table.row("best batch over best loop", f"{min(batches) / min(loops):.2f}", "told only")
         table.equal("questions without an answer", wrong, 0)
         submit(table, server, connection, scenes, many, full)
         code = server.terminate()

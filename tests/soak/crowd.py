@@ -10,8 +10,8 @@ UPLOAD = (b"POST /v1/scenes HTTP/1.1\r\nhost: localhost\r\ncontent-type: applica
 
 
 class Crowd:
-    """`streams` connections that ask for the events of a job and stay, whatever they are told; `uploads` that stop after two bytes. Who is sent
-    away comes back after a while."""
+    """`streams` connections that ask for the events of a job and stay, whatever they are told; `uploads` that stop after two bytes. All
+    come back when they were closed."""
 
     def __init__(self, address, job, streams, uploads):
         self.over = multiprocessing.get_context("fork").Event()
@@ -53,7 +53,8 @@ def stand(address, job, streams, uploads, over, pipe):
                 if writer:
                     told["open"] -= 1
                     writer.close()
-            await asyncio.sleep(dice.uniform(5, 10))
+            # Who was idle too long is back at once; who was sent away waits a while.
+            await asyncio.sleep(dice.uniform(0.1, 1) if kind == "streams" else dice.uniform(5, 10))
 
     async def everybody():
         kinds = [("streams", events)] * streams + [("uploads", UPLOAD)] * uploads

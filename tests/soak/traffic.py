@@ -6,6 +6,7 @@ import time
 
 from crowd import Crowd
 from load import Load, percentile_ms
+from machine import Watch
 from model import Model
 from questions import questions
 from scans import Scans
@@ -93,72 +94,84 @@ def within(told, windows, kind):
     return [took for what, at, took, status in told if what == kind and status < 400 and any(a <= at < b for a, b in windows)]
 
 
+class Course:
+    """When what went on: times of begin and end."""
+
+    def __init__(self, begin, calm_s, full):
+        self.turns, self.crowd_s, self.pause_s = (3, calm_s * 0.15, calm_s * 0.1) if full else (1, 5, 2)
+        # A crowd needs a moment to come and to go; its arrival is told by itself.
+        self.arrival_s = 5 if full else 2
+        self.calm = (begin, begin + calm_s)
+        self.end = begin + calm_s + self.turns * (self.arrival_s + self.crowd_s + self.arrival_s + self.pause_s)
+        # In turns: with a crowd, and without, the last of the time before the first crowd included.
+        self.crowds, self.arrivals, self.pauses = [], [], [(self.calm[1] - self.pause_s, self.calm[1])]
+
+    def follow(self, make_crowd):
+        """Lets crowds come and go; what they were told."""
+        told = []
+        for _ in range(self.turns):
+            crowd, at = make_crowd(), time.time()
+            self.arrivals.append((at, at + self.arrival_s))
+            time.sleep(self.arrival_s + self.crowd_s)
+            self.crowds.append((at + self.arrival_s, time.time()))
+            told.append(crowd.leave())
+            time.sleep(self.arrival_s)
+            at = time.time()
+            time.sleep(max(0.1, min(self.pause_s, self.end - at)))
+            self.pauses.append((at, time.time()))
+        return told
+
+
+def prepare(connection, scans, number):
+    """So many scenes, parsed."""
+    scenes = []
+    for at in range(number):
+        created = upload(connection, scans, f"base-{at}")
+        job = follow_job(connection, created["job"]["id"])
+        if job["state"] != "succeeded":
+            raise AssertionError(f"the sample scan can not be parsed: {job}")
+        scenes.append(created["scene"]["id"])
+    return scenes
+
+
 def run(program, folder, full, seconds=None):
     """The table of it all."""
     calm_s = seconds or (300 if full else 10)
-    # A crowd needs a moment to come and to go; its arrival is told by itself.
-    arrival_s = 5 if full else 2
-    turns, crowd_s, pause_s = (3, calm_s * 0.15, calm_s * 0.1) if full else (1, 5, 2)
     streams, uploads = (2000, 1000) if full else (200, 100)
-    table = Table(f"traffic: {CLIENTS} clients for {calm_s:.0f} s beside two parses; then {turns} x {crowd_s:.0f} s with a crowd")
-    scans, model = Scans(None if full else 6), Model()
+    table = Table(f"traffic: {CLIENTS} clients beside two people who upload, {calm_s} s, then in turns with a crowd of {streams} + {uploads}")
+    scans, model, asked = Scans(None if full else 6), Model(), questions(500, 1)
     model.pace_s = 3600
-    flags = [*model.flags, "--max-connections", 8192 if full else 1024]
-    with Server(program, folder / "data", folder / "log", *flags) as server:
-        server.ready()
-        connection = server.connection()
-        scenes = []
-        for number in range(5):
-            created = upload(connection, scans, f"base-{number}")
-            job = follow_job(connection, created["job"]["id"])
-            if job["state"] != "succeeded":
-                raise AssertionError(f"the sample scan can not be parsed: {job}")
-            scenes.append(created["scene"]["id"])
+    with Server(program, folder / "data", folder / "log", *model.flags, "--max-connections", 8192 if full else 1024) as server:
+        connection = server.ready().connection()
         # Two are not asked about.
-        asked, (*scenes, spare_0, spare_1) = questions(500, 1), scenes
+        *scenes, spare, other_spare = prepare(connection, scans, 5)
         # What the generator itself adds: the same clients, a request that does nothing.
         alone, _ = Load(server.address, scenes, asked, CLIENTS, time.time() + (5 if full else 2), {"healthz": 1}).told()
         nothing = [took for _, _, took, _ in alone]
         table.row("generator: /healthz, server idle", f"p50 {percentile_ms(nothing, 0.5):.1f}, p99 {percentile_ms(nothing, 0.99):.1f} ms", "told only")
-        job, memory, parses = waiting_job(connection, scenes[0]), Memory(server), Parses(server, scans, (spare_0, spare_1))
-        start = time.time()
-        calm_end = start + calm_s
-        until = calm_end + turns * (arrival_s + crowd_s + arrival_s + pause_s)
-        load = Load(server.address, scenes, asked, CLIENTS, until, seed=1000)
-        time.sleep(calm_end - time.time())
-        done_calm, crowds, calms, arrivals, crowd_told = parses.done, [], [(calm_end - pause_s, calm_end)], [], []
-        peak_calm = server.peak_mb()
-        for _ in range(turns):
-            crowd = Crowd(server.address, job, streams, uploads)
-            at = time.time()
-            arrivals.append((at, at + arrival_s))
-            time.sleep(arrival_s + crowd_s)
-            crowds.append((at + arrival_s, time.time()))
-            crowd_told.append(crowd.leave())
-            time.sleep(arrival_s)
-            at = time.time()
-            time.sleep(max(0.1, min(pause_s, until - at)))
-            calms.append((at, time.time()))
+        job, memory, parses = waiting_job(connection, scenes[0]), Memory(server), Parses(server, scans, (spare, other_spare))
+        course, watch = Course(time.time(), calm_s, full), Watch(server)
+        load = Load(server.address, scenes, asked, CLIENTS, course.end, seed=1000)
+        time.sleep(calm_s)
+        done_calm, peak_calm = parses.done, server.peak_mb()
+        crowd_told = course.follow(lambda: Crowd(server.address, job, streams, uploads))
         told, closed_idle = load.told()
         peak = server.peak_mb()
+        watch.row(table)
         parses.stop()
         memory.stop()
         code = server.terminate()
     model.shutdown()
-    judge(table, told, (start, calm_end), crowds, calms, arrivals, full)
+    judge(table, told, course, full)
     table.row("connections closed while idle, and opened again", closed_idle, "told only")
+    judge_crowd(table, crowd_told, streams, uploads)
+    judge_memory(table, memory, course.calm, full)
+    table.row("resident at most, without and with a crowd", f"{peak_calm:.0f} and {peak:.0f} MB", "told only")
     table.row("parses done beside the traffic", f"{done_calm} without a crowd, {parses.done} in all", "some", done_calm > 0)
     table.row("uploads sent away because stalled ones had all places", parses.refused, "told only")
-    judge_crowd(table, crowd_told, streams, uploads)
-    first = memory.mean(start + WARM * calm_s, start + (WARM + WINDOW) * calm_s)
-    last = memory.mean(calm_end - WINDOW * calm_s, calm_end)
-    growth = last / first - 1
-    table.row("resident, first window after warming up, and last", f"{first:.0f} and {last:.0f} MB: {growth * 100:+.1f} %",
-              "+5 % at most" if full else "told only", not full or growth <= 0.05)
-    table.row("resident at most, without and with a crowd", f"{peak_calm:.0f} and {peak:.0f} MB", "told only")
+    table.row("uploads and parses that should have gone well", len(parses.complaints), "0", not parses.complaints)
     for complaint in parses.complaints[:5]:
         table.note(complaint)
-    table.row("uploads and parses that should have gone well", len(parses.complaints), "0", not parses.complaints)
     numbers, examples = log_lines(folder / "log")
     table.row("errors in the log", sum(numbers.values()), "0", not numbers)
     for message, count in numbers.most_common(5):
@@ -167,9 +180,20 @@ def run(program, folder, full, seconds=None):
     return table
 
 
-def judge(table, told, calm, crowds, calms, arrivals, full):
-    """Statuses and times."""
+def judge_memory(table, memory, calm, full):
+    """Whether the server grows under the same traffic."""
     begin, end = calm
+    window = WINDOW * (end - begin)
+    first = memory.mean(begin + WARM * (end - begin), begin + WARM * (end - begin) + window)
+    last = memory.mean(end - window, end)
+    growth = last / first - 1
+    table.row("resident, first window after warming up, and last", f"{first:.0f} and {last:.0f} MB: {growth * 100:+.1f} %",
+              "+5 % at most" if full else "told only", not full or growth <= 0.05)
+
+
+def judge(table, told, course, full):
+    """Statuses and times."""
+    begin, end = course.calm
     numbers = collections.Counter((kind, status) for kind, _, _, status in told)
     in_calm = [one for one in told if begin <= one[1] < end]
     wrong_calm = collections.Counter((kind, status) for kind, _, _, status in in_calm if status == 0 or status >= 500)
@@ -186,22 +210,22 @@ def judge(table, told, calm, crowds, calms, arrivals, full):
     others = {f"{kind} {status}": count for (kind, status), count in sorted(numbers.items()) if 400 <= status < 500}
     table.row("4xx", json.dumps(others), "told only")
     for kind in sorted({kind for kind, *_ in told}):
-        took = within(told, [calm], kind)
+        took = within(told, [course.calm], kind)
         table.row(f"{kind}, without a crowd", f"n {len(took)}, p50 {percentile_ms(took, 0.5):.1f}, p95 {percentile_ms(took, 0.95):.1f}, "
                   f"p99 {percentile_ms(took, 0.99):.1f} ms")
-    ground, evidence = within(told, [calm], "ground"), within(told, [calm], "evidence")
+    ground, evidence = within(told, [course.calm], "ground"), within(told, [course.calm], "evidence")
     p99, p95 = percentile_ms(ground, 0.99), percentile_ms(evidence, 0.95)
     # A busy machine may take seconds; that it answers at all is what the short form asserts.
     for what, figure, most in [("ground, p99", p99, 50 if full else 10_000), ("evidence pictures, p95", p95, 250 if full else 20_000)]:
         table.row(what, f"{figure:.1f} ms", f"{most} ms" + ("" if full else ", for busy machines"), figure < most)
-    before, with_crowd = (percentile_ms(within(told, windows, "ground"), 0.99) for windows in (calms, crowds))
-    coming = percentile_ms(within(told, arrivals, "ground"), 0.99)
+    before, with_crowd = (percentile_ms(within(told, windows, "ground"), 0.99) for windows in (course.pauses, course.crowds))
+    coming = percentile_ms(within(told, course.arrivals, "ground"), 0.99)
     change = with_crowd / before - 1
     table.row("ground p99 in turns: without, with a crowd", f"{before:.1f}, {with_crowd:.1f} ms: {change * 100:+.0f} %",
               "+50 % at most" if full else "told only", not full or change < 0.5)
     table.row("ground p99 while a crowd arrives", f"{coming:.1f} ms", "told only")
     for kind in ("evidence", "healthz"):
-        before, with_crowd = (percentile_ms(within(told, windows, kind), 0.95) for windows in (calms, crowds))
+        before, with_crowd = (percentile_ms(within(told, windows, kind), 0.95) for windows in (course.pauses, course.crowds))
         table.row(f"{kind} p95 in turns: without, with a crowd", f"{before:.1f}, {with_crowd:.1f} ms", "told only")
 
 
