@@ -186,6 +186,8 @@ def judge_memory(table, memory, calm, full):
     window = WINDOW * (end - begin)
     first = memory.mean(begin + WARM * (end - begin), begin + WARM * (end - begin) + window)
     last = memory.mean(end - window, end)
+    tenths = [memory.mean(begin + (end - begin) * at / 10, begin + (end - begin) * (at + 1) / 10) for at in range(10)]
+    table.row("resident, tenth by tenth of that time", " ".join(f"{mb:.0f}" for mb in tenths) + " MB", "told only")
     growth = last / first - 1
     table.row("resident, first window after warming up, and last", f"{first:.0f} and {last:.0f} MB: {growth * 100:+.1f} %",
               "+5 % at most" if full else "told only", not full or growth <= 0.05)

@@ -57,7 +57,7 @@ class Told:
         asked = [line["answer_id"] for line in asked if (line.get("answer") or {}).get("usage", {}).get("vlm_calls")]
         self.transcripts = len(asked)
         self.lost_transcripts = [id for id in asked if connection.call("GET", f"/v1/answers/{id}/prompt").status != 200]
-        self.answers_given = len(asker.given)
+        self.answers_given, self.not_stored = len(asker.given), asker.not_stored
         self.lost_answers = sum(connection.call("GET", f"/v1/answers/{id}").body != body for id, body in asker.given.items())
 
 
@@ -156,6 +156,8 @@ def judge(table, storm, told, expected, parses, data):
     others = sum(found != parses[version > 1] for version, found in told.parsed)
     table.row("parses unlike those of the undisturbed run", others, "0", others == 0)
     table.row("single answers acknowledged", f"{told.answers_given}, lost or changed {told.lost_answers}", "lost 0", told.lost_answers == 0)
+    # The disk is not full: there is no reason for this.
+    table.equal("single answers given, but not kept", told.not_stored, 0)
     table.row("prompts of the batch's answers", f"{told.transcripts}, lost {len(told.lost_transcripts)}", "lost 0", not told.lost_transcripts)
     table.row("jobs", f"failed {len(failed)}, not over {len(open_jobs)}, lost {len(told.lost_jobs)}", "0, 0, 0",
               not failed and not open_jobs and not told.lost_jobs)

@@ -104,7 +104,8 @@ class Asker:
 
     def __init__(self, scenes, questions):
         self.scenes, self.questions, self.given = scenes, questions, {}
-        self.next = 0
+        # Answers that were given with the word that they could not be kept.
+        self.next, self.not_stored = 0, 0
 
     def live(self, server):
         connection = server.connection()
@@ -112,5 +113,9 @@ class Asker:
             query, scene = self.questions[self.next % len(self.questions)], self.scenes[self.next % len(self.scenes)]
             self.next += 1
             reply = connection.call("POST", f"/v1/scenes/{scene}/ground", {"query": query, **BUILTIN})
-            self.given[expect(reply, 200)["id"]] = reply.body
+            answer = expect(reply, 200)
+            if answer["stored"]:
+                self.given[answer["id"]] = reply.body
+            else:
+                self.not_stored += 1
             time.sleep(0.05)
