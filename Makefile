@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: demo serve test models test-models lint deny fmt book fuzz attack bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-http openapi schemathesis clean
+.PHONY: demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-http openapi schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -41,6 +41,10 @@ fuzz: ## Every fuzz target for SECONDS=60 each (needs a nightly compiler and car
 
 attack: ## Hostile uploads, kills, full disks, crowds: the whole of it, as one table (a full disk needs root)
 	ATTACK=full $(CARGO) test --release --locked --quiet --test attack
+
+soak: ## A hundred kills, 64 clients beside parses and a crowd, long lists: a table of each (half an hour; Python 3, Linux)
+	$(CARGO) build --release --locked --quiet
+	$(PYTHON) tests/soak/run.py --program target/release/uniground --full
 
 bench: ## All of cargo's benches: pipelines, language, service, quality of stage 1, superpoints, scale, and ours of bench-peers
 	$(CARGO) bench --locked

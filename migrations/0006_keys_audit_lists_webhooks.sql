@@ -50,6 +50,9 @@ CREATE INDEX batch_items_by_answer ON batch_items (answer_id);
 CREATE INDEX jobs_by_subject_and_time ON jobs (subject, id);
 DROP INDEX jobs_by_subject;
 
+-- How often in a row a job failed in a way that may pass, without getting further than before.
+ALTER TABLE jobs ADD COLUMN failures INTEGER NOT NULL DEFAULT 0;
+
 -- Ends of jobs that somebody wants to be told of: what stands here was not taken yet. Written with the end itself, whatever brought it about.
 CREATE TABLE announcements (
     job_id     TEXT PRIMARY KEY REFERENCES jobs (id) ON DELETE CASCADE,

@@ -2,13 +2,12 @@
 
 use super::table;
 use crate::config::{LimitsConfig, RetentionConfig};
-use crate::service::Service;
+use crate::service::{Beside, Service};
 use crate::store::Store;
 use crate::telemetry;
 use anyhow::Context;
 use camino::Utf8PathBuf;
 use serde_json::json;
-use std::time::Duration;
 
 #[derive(Debug, clap::Args)]
 pub struct GcArgs {
@@ -35,7 +34,7 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
     let store = opened.with_context(|| format!("the data folder {data_dir}"))?;
     let limits = LimitsConfig { retention: retention.clone(), ..LimitsConfig::default() };
     let service = Service::at_rest(store.clone(), limits.service_limits()).await?;
-    let removed = service.let_go(Duration::ZERO).await?;
+    let removed = service.let_go(Beside::Nobody).await?;
     let (entries, bytes) = removed.iter().fold((0, 0), |(entries, bytes), one| (entries + one.entries, bytes + one.bytes));
     if *as_json {
         println!(

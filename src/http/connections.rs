@@ -59,6 +59,8 @@ pub async fn serve(listener: TcpListener, router: Router, most: usize, metrics: 
 }
 
 async fn connection(stream: TcpStream, router: Router, place: Place, watcher: hyper_util::server::graceful::Watcher) {
+    // A small answer does not wait for the acknowledgement of the one before. One that can not be told is sent all the same.
+    let _ = stream.set_nodelay(true);
     let mut stream = TimeoutStream::new(stream);
     stream.set_write_timeout(Some(WRITE_TIME));
     let (close, place) = (place.close.clone(), Arc::new(place));

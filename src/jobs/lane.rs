@@ -15,6 +15,8 @@ use uniground_core::progress::Progress;
 const SAVE_EVERY: Duration = Duration::from_millis(500);
 /// How long a worker sleeps when nobody wakes it.
 const LOOK_EVERY: Duration = Duration::from_secs(2);
+/// Progress by more than this is getting further.
+const FURTHER: f64 = 0.001;
 /// No wait before another try is longer.
 const LONGEST_BACKOFF: Duration = Duration::from_hours(1);
 /// A job that is interrupted again and again without getting further may be what brings its server down: it is taken up at once so often,
@@ -81,7 +83,7 @@ impl Jobs {
     }
 
     async fn run<K: JobKind>(&self, kind: &Arc<K>, job: JobRow, shutdown: &CancellationToken) -> Result<(), StoreError> {
-        let JobRow { id, payload, attempts, .. } = job;
+        let JobRow { id, payload, attempts, failures, furthest, .. } = job.clone();
         let payload = match serde_json::from_str(&payload) {
             Ok(payload) => payload,
             Err(error) => {
@@ -91,7 +93,7 @@ impl Jobs {
                 return self.store.finish_job(&id, JobState::Failed, None, Some(("internal", &detail))).await;
             }
         };
-        let running = Running { cancel: shutdown.child_token(), ..Running::default() };
+        let running = Running { pulse: Arc::default(), cancel: shutdown.child_token(), row: job.into() };
         self.running().insert(id.clone(), running.clone());
         // From here on a wish to stop finds the token; what was wished before stands in the row.
         let unwanted = self.store.is_cancel_requested(&id).await;
@@ -129,9 +131,12 @@ impl Jobs {
             // Asked to stop, it stumbled over what was taken from under it: that is no failure of its own.
             Ok(Err(JobFailure::Failed { .. })) if running.cancel.is_cancelled() => End::Cancelled,
             Ok(Err(JobFailure::Failed { code, detail, cause, transient })) => {
-                let again = transient.then(|| next_try(K::RETRY, attempts)).flatten();
+                let progress = running.pulse().progress;
+                // One that got further starts to count anew.
+                let failures = if f64::from(progress) > furthest + FURTHER { 1 } else { failures + 1 };
+                let again = transient.then(|| next_try(K::RETRY, failures)).flatten();
                 tracing::warn!(code, cause, again_in_s = again.map(|wait| wait.as_secs()), "job failed");
-                again.map_or(End::Failed { code, detail }, End::Again)
+                again.map_or(End::Failed { code, detail }, |wait| End::Again { wait, failures, progress })
             }
             Err(panic) => {
                 tracing::error!(error = &panic as &dyn std::error::Error, "job panicked");
@@ -151,7 +156,7 @@ impl Jobs {
             End::Done(_) => JobState::Succeeded,
             End::Failed { .. } => JobState::Failed,
             End::Cancelled => JobState::Cancelled,
-            End::Again(_) => return self.metrics.jobs.retried(kind),
+            End::Again { .. } => return self.metrics.jobs.retried(kind),
             End::PutBack => return,
         };
         self.metrics.jobs.finished(kind, state.word(), Some(took));
@@ -177,7 +182,7 @@ impl Jobs {
                 self.store.finish_job(id, JobState::Succeeded, Some(message), None).await
             }
             End::PutBack => self.store.requeue_job(id).await,
-            End::Again(wait) => self.store.requeue_job_after(id, *wait).await,
+            End::Again { wait, failures, progress } => self.store.requeue_job_after(id, *wait, *failures, *progress).await,
             End::Cancelled => {
                 tracing::info!("job cancelled");
                 self.store.finish_job(id, JobState::Cancelled, None, None).await
@@ -211,8 +216,12 @@ enum End {
     Done(String),
     /// The server stops: the next one goes on.
     PutBack,
-    /// It failed in a way that may pass.
-    Again(Duration),
+    /// It failed in a way that may pass, so often in a row, and got so far.
+    Again {
+        wait: Duration,
+        failures: u32,
+        progress: f32,
+    },
     Cancelled,
     Failed {
         code: String,
@@ -220,10 +229,9 @@ enum End {
     },
 }
 
-/// The wait before another try, after `attempts`; `None` when there is none.
-fn next_try(Retry { transient, backoff, .. }: Retry, attempts: i64) -> Option<Duration> {
-    let attempts = u32::try_from(attempts).unwrap_or(u32::MAX);
-    (attempts < transient).then(|| backoff.saturating_mul(1 << attempts.saturating_sub(1).min(16)).min(LONGEST_BACKOFF))
+/// The wait before another try, after so many failures; `None` when there is none.
+fn next_try(Retry { transient, backoff, .. }: Retry, failures: u32) -> Option<Duration> {
+    (failures < transient).then(|| backoff.saturating_mul(1 << failures.saturating_sub(1).min(16)).min(LONGEST_BACKOFF))
 }
 
 #[cfg(test)]

@@ -28,6 +28,8 @@ fn job_of(row: JobRow, now: Timestamp) -> Job {
         stage,
         progress,
         attempts,
+        failures: _,
+        furthest,
         message,
         error_code,
         error,
@@ -35,14 +37,16 @@ fn job_of(row: JobRow, now: Timestamp) -> Job {
         started_at,
         finished_at,
     } = row;
-    let progress = progress as f32;
+    let (progress, furthest) = (progress as f32, furthest as f32);
+    // What an earlier attempt did took no time of this one.
+    let own = progress - furthest;
     let running_s = started_at
         .as_ref()
         .and_then(|t| t.parse::<Timestamp>().ok())
         .map(|start| now.duration_since(start).as_secs_f32());
     let eta_s = running_s
-        .filter(|_| state == JobState::Running && progress >= MIN_PROGRESS_FOR_ETA)
-        .map(|elapsed| elapsed * (1.0 - progress) / progress);
+        .filter(|_| state == JobState::Running && own >= MIN_PROGRESS_FOR_ETA)
+        .map(|elapsed| elapsed * (1.0 - progress) / own);
     Job {
         id,
         kind,

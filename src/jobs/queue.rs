@@ -29,10 +29,12 @@ pub(super) struct Pulse {
 }
 
 /// A job in a worker's hands.
-#[derive(Clone, Default)]
+#[derive(Clone)]
 pub(super) struct Running {
     pub pulse: Arc<Mutex<Pulse>>,
     pub cancel: CancellationToken,
+    /// As it was when the worker took it.
+    pub row: Arc<JobRow>,
 }
 
 impl Running {
@@ -185,6 +187,11 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::NotFound`].
     pub async fn get_lately(&self, id: &str, age: Duration) -> Result<Job, JobsError> {
+        // One that runs is told from memory.
+        let running = self.running().get(id).map(|running| running.row.clone());
+        if let Some(row) = running {
+            return Ok(self.as_it_stands(JobRow::clone(&row)));
+        }
         if let Some((at, job)) = self.looked_at.get(id)
             && at.elapsed() < age
         {

@@ -5,6 +5,7 @@ use crate::error::Error;
 use crate::jobs::JobKind;
 use crate::store::{Damage, Look, Strays};
 use std::fmt;
+use std::time::Duration;
 use tokio::task::spawn_blocking;
 
 /// Something that is not as it should be.
@@ -87,7 +88,7 @@ impl Service {
                 found(Trouble::Parse { id: parse.id.clone() }, format!("{}: {detail}", parse.id));
             }
         }
-        let Strays { unclaimed, unjudged } = self.store.strays().await?;
+        let Strays { unclaimed, unjudged } = self.store.strays(Duration::ZERO).await?;
         for (kind, name) in unclaimed {
             let detail = format!("blobs/{kind}/{name}: no record speaks of it");
             found(Trouble::Unclaimed { kind, name }, detail);

@@ -1,14 +1,12 @@
 //! What happens without being asked for: what was kept long enough goes, stray folders are swept, damage is found before somebody meets it.
 
-use super::Service;
+use super::{Beside, Service};
 use crate::error::Error;
 use crate::store::{Damage, Look};
 use std::time::Duration;
 use tokio::task::spawn_blocking;
 use tokio::time::sleep;
 
-/// The pause between two steps of letting go.
-const BREATH: Duration = Duration::from_millis(50);
 /// The pause between two looks at a parse's files: nobody shall notice.
 const PAUSE: Duration = Duration::from_secs(2);
 
@@ -18,7 +16,7 @@ impl Service {
     /// # Errors
     /// [`Error`] of the store; what was done stays done.
     pub async fn keep_house(&self) -> Result<(), Error> {
-        self.let_go(BREATH).await?;
+        self.let_go(Beside::TheServer).await?;
         // One that was retired is known to be damaged, and kept for its answers only.
         for parse in self.store.all_parses().await?.iter().filter(|parse| !parse.is_retired()) {
             let wrong = self.look_at_parse(&parse.id, Look::Bytes).await?;

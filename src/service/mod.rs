@@ -26,7 +26,7 @@ pub use health::Health;
 pub use keys::{Allowance, Caller, Denied, Done, Keyring};
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};
-pub use retention::Removed;
+pub use retention::{Beside, Removed};
 pub use scenes::NewScene;
 pub use vlm::{Vlm, VlmSettings};
 
@@ -35,6 +35,7 @@ use crate::inference::Probe;
 use crate::jobs::{JobFailure, Jobs};
 use crate::metrics::Metrics;
 use crate::store::Store;
+use batches::Beginnings;
 use lately::Lately;
 use parses::ParseCache;
 use rayon::ThreadPool;
@@ -80,6 +81,8 @@ pub struct Service {
     /// A vision-language model, where one is configured.
     vlm: Option<Arc<Vlm>>,
     models: Models,
+    /// Batches being asked now.
+    asked_batches: Beginnings,
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
     content_references: Arc<Mutex<()>>,
     /// Held while a scene takes a stored parse, or gets a job for another, so that neither the parse nor what the job goes on from is
@@ -114,6 +117,7 @@ impl Service {
             parsing: Arc::new(parsing),
             vlm: vlm.map(Arc::new),
             models,
+            asked_batches: Beginnings::default(),
             content_references: Arc::default(),
             parse_references: Arc::default(),
             inference: None,

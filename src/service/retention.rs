@@ -41,23 +41,48 @@ impl Gone {
     }
 }
 
+/// Who is at work on what is looked at.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Beside {
+    Nobody,
+    /// Questions come first, and what is being put in place is left alone.
+    TheServer,
+}
+
+impl Beside {
+    /// Between two steps.
+    async fn pause(self) {
+        const BREATH: Duration = Duration::from_millis(50);
+        if self == Self::TheServer {
+            sleep(BREATH).await;
+        }
+    }
+
+    /// What is younger may be half in place.
+    fn settled(self) -> Duration {
+        match self {
+            Self::Nobody => Duration::ZERO,
+            Self::TheServer => Duration::from_hours(1),
+        }
+    }
+}
+
 /// One round.
 struct Round<'a> {
     service: &'a Service,
-    /// Between two steps: questions come first.
-    pause: Duration,
+    beside: Beside,
     now: Timestamp,
     /// Folders that are gone, or would be: none counts twice.
     folders: HashSet<Utf8PathBuf>,
 }
 
 impl Service {
-    /// Lets go of everything that was kept long enough, with a pause after every step; what went, by kind.
+    /// Lets go of everything that was kept long enough, in small steps; what went, by kind.
     ///
     /// # Errors
     /// [`Error`] of the store; what is gone stays gone.
-    pub async fn let_go(&self, pause: Duration) -> Result<Vec<Removed>, Error> {
-        let mut round = Round { service: self, pause, now: Timestamp::now(), folders: HashSet::new() };
+    pub async fn let_go(&self, beside: Beside) -> Result<Vec<Removed>, Error> {
+        let mut round = Round { service: self, beside, now: Timestamp::now(), folders: HashSet::new() };
         let Retention { answers_days, jobs_days, batches_days, idempotency_days, audit_days, superseded_days, .. } = self.limits.retention;
         // First: it looks for folders without rows, and a round that only looks leaves some.
         let quarantine = round.quarantine().await?;
@@ -111,7 +136,7 @@ impl Round<'_> {
             if aged == Aged::Answers {
                 gone.bytes += self.discard(removed.iter().map(|id| store.blobs.answer(id)).collect()).await?;
             }
-            sleep(self.pause).await;
+            self.beside.pause().await;
         }
         Ok(gone.because(kind, format!("over {days} days old")))
     }
@@ -139,7 +164,7 @@ impl Round<'_> {
                 gone.bytes += self.discard(vec![service.store.blobs.parse(id)]).await?;
             }
             gone.count(&[due], &removed);
-            sleep(self.pause).await;
+            self.beside.pause().await;
         }
         Ok(gone.because(KIND, format!("no scene and no answer has referred to them for {days} days")))
     }
@@ -163,7 +188,7 @@ impl Round<'_> {
     }
 
     async fn quarantine(&self) -> Result<Removed, Error> {
-        let (entries, bytes) = self.service.store.sweep().await?;
+        let (entries, bytes) = self.service.store.sweep(self.beside.settled()).await?;
         Ok(Gone { entries, bytes }.because("quarantine", format!("no record speaks of them, for over {KEEP_QUARANTINE_DAYS} days")))
     }
 

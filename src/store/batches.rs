@@ -309,7 +309,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn batch_items(&self, id: &str, from: u32, limit: u32) -> Result<Vec<ItemRow>, StoreError> {
-        let sql = "SELECT item, batch_items.scene_id, request, answer_id, status, error_code, error, body
+        let sql = "SELECT item, batch_items.scene_id, request, answer_id, batch_items.status, error_code, error, body
                    FROM batch_items LEFT JOIN answers ON answers.id = answer_id
                    WHERE batch_id = ? AND item >= ? ORDER BY item LIMIT ?";
         let rows = sqlx::query(sql).bind(id).bind(from).bind(limit).fetch_all(&self.reader).await?;

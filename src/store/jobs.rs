@@ -18,6 +18,10 @@ pub struct JobRow {
     pub stage: Option<String>,
     pub progress: f64,
     pub attempts: i64,
+    /// In a row, in ways that may pass, without getting further.
+    pub failures: u32,
+    /// How far an earlier attempt got.
+    pub furthest: f64,
     pub message: Option<String>,
     pub error_code: Option<String>,
     pub error: Option<String>,
@@ -37,6 +41,8 @@ impl FromRow<'_, SqliteRow> for JobRow {
             stage: row.try_get("stage")?,
             progress: row.try_get("progress")?,
             attempts: row.try_get("attempts")?,
+            failures: row.try_get("failures")?,
+            furthest: row.try_get("furthest")?,
             message: row.try_get("message")?,
             error_code: row.try_get("error_code")?,
             error: row.try_get("error")?,
@@ -244,14 +250,20 @@ impl Store {
         Ok(())
     }
 
-    /// Puts a running job back, to be tried again after a wait.
+    /// Puts a running job back, to be tried again after a wait: it has failed so often in a row, and got so far.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn requeue_job_after(&self, id: &str, wait: Duration) -> Result<(), StoreError> {
-        let sql = "UPDATE jobs SET state = 'queued', not_before = ?, started_at = NULL, stage = NULL, progress = 0
-                   WHERE id = ? AND state = 'running'";
-        sqlx::query(sql).bind(after(wait)).bind(id).execute(self.writer.pool()).await?;
+    pub async fn requeue_job_after(&self, id: &str, wait: Duration, failures: u32, progress: f32) -> Result<(), StoreError> {
+        let sql = "UPDATE jobs SET state = 'queued', not_before = ?1, failures = ?2, furthest = max(furthest, ?3),
+                   started_at = NULL, stage = NULL, progress = 0 WHERE id = ?4 AND state = 'running'";
+        sqlx::query(sql)
+            .bind(after(wait))
+            .bind(failures)
+            .bind(progress)
+            .bind(id)
+            .execute(self.writer.pool())
+            .await?;
         Ok(())
     }
 

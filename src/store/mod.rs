@@ -138,7 +138,7 @@ impl Store {
         store.forget_half_received_batches().await?;
         store.settle_what_was_left().await?;
         // What can not be swept is no reason not to serve.
-        if let Err(error) = store.sweep().await {
+        if let Err(error) = store.sweep(Duration::ZERO).await {
             tracing::warn!(error = &error as &dyn std::error::Error, "the data folder could not be swept");
         }
         let left_behind = store.blobs.left_behind()?;

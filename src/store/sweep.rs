@@ -8,7 +8,7 @@ use jiff::civil::Date;
 use std::collections::HashSet;
 use std::fs;
 use std::io;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 use tokio::task::spawn_blocking;
 
 /// Days for which the quarantine keeps things.
@@ -28,11 +28,11 @@ pub struct Strays {
 }
 
 impl Store {
-    /// Folders no record speaks of.
+    /// Folders no record speaks of. A folder is put in place before its row: while a server works, those younger than `settled` are none.
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn strays(&self) -> Result<Strays, StoreError> {
+    pub async fn strays(&self, settled: Duration) -> Result<Strays, StoreError> {
         let since: Option<String> = sqlx::query_scalar("SELECT since FROM data_folder").fetch_optional(&self.reader).await?;
         let since = since.and_then(|since| since.parse::<Timestamp>().ok()).map(SystemTime::from);
         let contents: Vec<String> = sqlx::query_scalar("SELECT hash FROM contents").fetch_all(&self.reader).await?;
@@ -50,7 +50,15 @@ impl Store {
         }
         let mut strays = Strays::default();
         for (kind, name) in unknown {
-            let made = fs::metadata(self.blobs.place(kind, &name))?.modified()?;
+            let made = match fs::metadata(self.blobs.place(kind, &name)) {
+                // Removed meanwhile, by whoever may.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => continue,
+                made => made?.modified()?,
+            };
+            // One that is from tomorrow is young, too.
+            if !settled.is_zero() && made.elapsed().unwrap_or_default() < settled {
+                continue;
+            }
             match knows_nothing || since.is_none_or(|since| made < since) {
                 true => strays.unjudged.push((kind, name)),
                 false => strays.unclaimed.push((kind, name)),
@@ -60,11 +68,12 @@ impl Store {
     }
 
     /// Takes what no record speaks of to the quarantine, and removes what has been there long enough: how many days of it, and bytes.
+    /// `settled` as for [`strays`](Self::strays).
     ///
     /// # Errors
     /// [`StoreError`].
-    pub async fn sweep(&self) -> Result<(u64, u64), StoreError> {
-        let Strays { unclaimed, unjudged } = self.strays().await?;
+    pub async fn sweep(&self, settled: Duration) -> Result<(u64, u64), StoreError> {
+        let Strays { unclaimed, unjudged } = self.strays(settled).await?;
         if !unjudged.is_empty() {
             let folders = unjudged.len();
             tracing::warn!(

@@ -54,15 +54,14 @@ impl Store {
         Ok(usd.unwrap_or(0.0))
     }
 
-    /// Puts money aside for a call that is about to be made, for whom; the reservation's id.
+    /// Puts money aside for a call that is about to be made, under a new id, for somebody.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn reserve_spending(&self, day: &str, usd: f64, key_id: Option<&str>) -> Result<String, StoreError> {
-        let id = self.new_id();
+    pub async fn reserve_spending(&self, id: &str, day: &str, usd: f64, key_id: Option<&str>) -> Result<(), StoreError> {
         let sql = "INSERT INTO reservations (id, day, usd, key_id) VALUES (?, ?, ?, ?)";
-        sqlx::query(sql).bind(&id).bind(day).bind(usd).bind(key_id).execute(self.writer.pool()).await?;
-        Ok(id)
+        sqlx::query(sql).bind(id).bind(day).bind(usd).bind(key_id).execute(self.writer.pool()).await?;
+        Ok(())
     }
 
     /// Notes what a call has cost in place of what was put aside for it.

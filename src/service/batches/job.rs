@@ -1,6 +1,6 @@
 //! Asking the questions of a batch.
 
-use super::reason;
+use super::{Beginning, Beginnings, reason};
 use crate::error::Error;
 use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
 use crate::service::answers::Asker;
@@ -10,11 +10,15 @@ use futures::future::ready;
 use futures::{StreamExt, stream};
 use serde::{Deserialize, Serialize};
 use std::pin::pin;
+use std::sync::PoisonError;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 use tokio::time::{sleep, timeout_at};
+use tokio_util::task::AbortOnDropHandle;
+use tracing::Instrument;
 use uniground_core::models::chat::{Budget, OverBudget};
+use uniground_core::progress::Progress;
 use uniground_core::scene_parsing::ParseError;
 use uniground_types::answer::{Answer, Usage};
 use uniground_types::question::{GroundRequest, ReasonerChoice};
@@ -61,87 +65,152 @@ enum End {
     OverBudget,
 }
 
+/// A batch being asked.
+struct Run {
+    service: Service,
+    batch: BatchRow,
+    budget: Option<Budget>,
+    /// Items that are answered or have failed, those of earlier runs too.
+    done: u32,
+    progress: Progress,
+    /// Taken out when the run ends, however it does.
+    _begun: Begun,
+}
+
+/// That a batch is being asked, and since when: what the time left is told by.
+struct Begun {
+    batches: Beginnings,
+    id: String,
+}
+
+impl Drop for Begun {
+    fn drop(&mut self) {
+        self.batches.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.id);
+    }
+}
+
 impl Service {
     async fn run_batch(&self, JobContext { payload, progress, .. }: JobContext<Payload>) -> Result<String, Error> {
         // Deleted meanwhile, or submitted by a server that did not live to see it through.
         let Some(batch) = self.store.batch(&payload.batch_id).await? else { return Ok("there is no such batch any more".into()) };
         let (numbers, spent) = self.store.batch_figures(&batch.id).await?;
-        let before: u32 = numbers.values().sum();
-        let (mut done, open) = (0, batch.items.saturating_sub(before).max(1));
+        let done = numbers.values().sum();
+        let beginning = Beginning { at: Instant::now(), done };
+        self.asked_batches
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .insert(batch.id.clone(), beginning);
+        let begun = Begun { batches: self.asked_batches.clone(), id: batch.id.clone() };
         let budget = batch.max_cost_usd.map(|usd| Budget::new(THIS_BATCH, usd).with_spent(spent));
-        let width = batch.concurrency.unwrap_or(super::CONCURRENCY) as usize;
+        let mut run = Run { service: self.clone(), batch, budget, done, progress, _begun: begun };
         loop {
-            // Somebody may have paused or cancelled it.
-            if self.store.batch(&batch.id).await?.is_none_or(|batch| batch.state != "running") {
-                return Ok(told(before + done, &batch, "stopped"));
+            if !run.is_wanted().await? {
+                return Ok(run.told("stopped"));
             }
-            let Ok(caller) = self.keys.caller_of(batch.key_id.as_deref()) else {
-                self.store.move_batch(&batch.id, &["running"], "paused", Some(reason::KEY_REFUSED)).await?;
-                return Ok(told(before + done, &batch, "its key is refused"));
+            let Ok(caller) = self.keys.caller_of(run.batch.key_id.as_deref()) else {
+                return run.pause(reason::KEY_REFUSED, "its key is refused").await;
             };
-            let items = self.store.open_batch_items(&batch.id, WINDOW).await?;
+            let items = self.store.open_batch_items(&run.batch.id, WINDOW).await?;
             if items.is_empty() {
-                self.store.move_batch(&batch.id, &["running"], "succeeded", None).await?;
-                return Ok(told(before + done, &batch, "done"));
+                self.store.move_batch(&run.batch.id, &["running"], "succeeded", None).await?;
+                return Ok(run.told("done"));
             }
-            let asking = AtomicBool::new(true);
-            let wanted = stream::iter(items).take_while(|_| ready(asking.load(Relaxed)));
-            let mut ends = pin!(wanted.map(|item| self.ask_item(item, &caller, budget.as_ref())).buffer_unordered(width));
-            let (mut closed, mut written, mut over_budget) = (Vec::new(), Instant::now(), false);
-            let (mut stop, mut last_call): (Option<Error>, _) = (None, None);
-            loop {
-                let end = if let Some(at) = last_call {
-                    // What is under way has been paid for: it gets a while to end.
-                    timeout_at(at, ends.next()).await.ok().flatten()
-                } else {
-                    tokio::select! {
-                        end = ends.next() => end,
-                        cancelled = until_cancelled(&progress) => {
-                            (stop, last_call) = (Some(ParseError::from(cancelled).into()), Some(tokio::time::Instant::now() + GRACE));
-                            asking.store(false, Relaxed);
-                            continue;
-                        }
-                    }
-                };
-                match end {
-                    None => break,
-                    Some(Ok(End::Closed(item))) => closed.push(item),
-                    Some(Ok(End::OverBudget)) => over_budget = true,
-                    // The store is in trouble: what is known is kept, and the job is tried again.
-                    Some(Err(error)) => stop = Some(error),
-                }
-                // Who is to stop is told above.
-                let _ = progress.report("asking", (done as f32 + closed.len() as f32) / open as f32);
-                if closed.len() >= WRITE_AFTER || written.elapsed() >= WRITE_EVERY {
-                    self.close_items(&batch.id, &closed).await?;
-                    done += closed.len() as u32;
-                    (closed, written) = (Vec::new(), Instant::now());
-                    if self.store.batch(&batch.id).await?.is_none_or(|batch| batch.state != "running") {
-                        asking.store(false, Relaxed);
-                    }
-                }
-                if over_budget || stop.is_some() {
-                    asking.store(false, Relaxed);
-                }
-            }
-            self.close_items(&batch.id, &closed).await?;
-            done += closed.len() as u32;
-            if let Some(error) = stop {
-                return Err(error);
-            }
-            if over_budget {
-                self.store.move_batch(&batch.id, &["running"], "paused", Some(reason::BUDGET_SPENT)).await?;
-                return Ok(told(before + done, &batch, "its money is spent"));
+            if run.ask(items, &caller).await? == Money::Spent {
+                return run.pause(reason::BUDGET_SPENT, "its money is spent").await;
             }
         }
     }
+}
 
-    async fn close_items(&self, batch_id: &str, closed: &[ClosedItem]) -> Result<(), Error> {
-        self.store.close_batch_items(batch_id, closed).await?;
-        closed.iter().for_each(|item| self.metrics.questions.item(&item.status));
-        Ok(())
+/// Whether what a batch may cost was enough.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Money {
+    Enough,
+    Spent,
+}
+
+impl Run {
+    /// Asks items, some at once, and writes down what comes of them.
+    async fn ask(&mut self, items: Vec<OpenItem>, caller: &Caller) -> Result<Money, Error> {
+        let asking = AtomicBool::new(true);
+        let wanted = stream::iter(items).take_while(|_| ready(asking.load(Relaxed)));
+        let (service, caller, budget) = (self.service.clone(), caller.clone(), self.budget.clone());
+        // Tasks of their own: while something is written here they go on, and do not sit on what it waits for.
+        let task = |item| {
+            let (service, caller, budget) = (service.clone(), caller.clone(), budget.clone());
+            let asked = async move { service.ask_item(item, &caller, budget.as_ref()).await };
+            AbortOnDropHandle::new(tokio::spawn(asked.in_current_span()))
+        };
+        let width = self.batch.concurrency.unwrap_or(super::CONCURRENCY) as usize;
+        let mut ends = pin!(wanted.map(task).buffer_unordered(width));
+        let (mut closed, mut written, mut money) = (Vec::new(), Instant::now(), Money::Enough);
+        // Why it stops, and until when it waits for what is under way: that has been paid for.
+        let mut stop: Option<(Error, tokio::time::Instant)> = None;
+        let soon = || tokio::time::Instant::now() + GRACE;
+        loop {
+            let end = if let Some((_, until)) = &stop {
+                timeout_at(*until, ends.next()).await.ok().flatten()
+            } else {
+                tokio::select! {
+                    end = ends.next() => end,
+                    cancelled = until_cancelled(&self.progress) => {
+                        stop = Some((ParseError::from(cancelled).into(), soon()));
+                        asking.store(false, Relaxed);
+                        continue;
+                    }
+                }
+            };
+            match end.map(|end| end.map_err(Error::from).flatten()) {
+                None => break,
+                Some(Ok(End::Closed(item))) => closed.push(item),
+                Some(Ok(End::OverBudget)) => money = Money::Spent,
+                // The store is in trouble: what is known is kept, and the job is tried again.
+                Some(Err(error)) => drop(stop.get_or_insert_with(|| (error, soon()))),
+            }
+            // Of all items, so that a run that goes on gets further than the one before. Who is to stop is told above.
+            let share = (self.done as f32 + closed.len() as f32) / self.batch.items.max(1) as f32;
+            let _ = self.progress.report("asking", share);
+            if closed.len() >= WRITE_AFTER || written.elapsed() >= WRITE_EVERY {
+                written = Instant::now();
+                match self.write(&mut closed).await {
+                    Ok(is_wanted) => drop(asking.fetch_and(is_wanted, Relaxed)),
+                    Err(error) => drop(stop.get_or_insert_with(|| (error, soon()))),
+                }
+            }
+            if money == Money::Spent || stop.is_some() {
+                asking.store(false, Relaxed);
+            }
+        }
+        self.write(&mut closed).await?;
+        stop.map_or(Ok(money), |(error, _)| Err(error))
     }
 
+    /// Writes down what came of items; whether more are wanted.
+    async fn write(&mut self, closed: &mut Vec<ClosedItem>) -> Result<bool, Error> {
+        self.service.store.close_batch_items(&self.batch.id, closed).await?;
+        for item in closed.drain(..) {
+            self.service.metrics.questions.item(&item.status);
+            self.done += 1;
+        }
+        self.is_wanted().await
+    }
+
+    /// Whether nobody has paused, cancelled or removed it.
+    async fn is_wanted(&self) -> Result<bool, Error> {
+        Ok(self.service.store.batch(&self.batch.id).await?.is_some_and(|batch| batch.state == "running"))
+    }
+
+    async fn pause(&self, reason: &str, why: &str) -> Result<String, Error> {
+        self.service.store.move_batch(&self.batch.id, &["running"], "paused", Some(reason)).await?;
+        Ok(self.told(why))
+    }
+
+    fn told(&self, why: &str) -> String {
+        format!("{} of {} questions asked: {why}", self.done, self.batch.items)
+    }
+}
+
+impl Service {
     /// Asks one question, or finds the answer it got before a server was killed. Only what is wrong with the store itself is an error.
     async fn ask_item(&self, open: OpenItem, caller: &Caller, budget: Option<&Budget>) -> Result<End, Error> {
         let OpenItem { item, scene_id, request, answer_id } = open;
@@ -191,8 +260,4 @@ const THIS_BATCH: &str = "this batch";
 struct Kept {
     status: String,
     usage: Usage,
-}
-
-fn told(done: u32, batch: &BatchRow, why: &str) -> String {
-    format!("{done} of {} questions asked: {why}", batch.items)
 }

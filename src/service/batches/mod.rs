@@ -12,10 +12,11 @@ use super::Service;
 use crate::error::Error;
 use crate::jobs::JobsError;
 use crate::store::BatchRow;
-use jiff::Timestamp;
 use job::Payload;
+use std::collections::HashMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 use uniground_types::batch::{Batch, BatchList, BatchState};
-use uniground_types::job::Job;
 
 /// Questions of a batch asked at once, where it does not say.
 const CONCURRENCY: u32 = 4;
@@ -111,41 +112,61 @@ impl Service {
         self.store.batch(id).await?.ok_or_else(|| Error::BatchNotFound { id: id.into() })
     }
 
-    /// Where a batch stands, why, and its job.
-    async fn batch_state(&self, row: &BatchRow) -> Result<(BatchState, Option<String>, Option<Job>), Error> {
-        let job = match &row.job_id {
+    /// Where a batch stands, and why.
+    async fn batch_state(&self, row: &BatchRow) -> Result<(BatchState, Option<String>), Error> {
+        let is_over = match &row.job_id {
             Some(id) => match self.jobs.get(id).await {
-                Ok(job) => Some(job),
-                Err(JobsError::NotFound { .. }) => None,
+                Ok(job) => job.state.is_final(),
+                Err(JobsError::NotFound { .. }) => true,
                 Err(error) => return Err(error.into()),
             },
-            None => None,
+            None => false,
         };
-        // However it ended: nobody asks any more.
-        let ended = job.as_ref().is_some_and(|job| job.state.is_final());
-        let (state, reason) = match row.state.as_str() {
-            "running" if ended => (BatchState::Paused, Some(reason::JOB_ENDED.to_owned())),
+        let (mut state, mut reason) = (row.state.clone(), row.reason.clone());
+        if state == "running" && is_over {
+            // A job that ends well has moved its batch before: what was read before that is looked at again.
+            let now = self.batch_row(&row.id).await?;
+            (state, reason) = (now.state, now.reason);
+            if state == "running" && now.job_id == row.job_id {
+                // However it ended: nobody asks any more.
+                (state, reason) = ("paused".into(), Some(reason::JOB_ENDED.to_owned()));
+            }
+        }
+        Ok(match state.as_str() {
             "running" => (BatchState::Running, None),
-            "paused" => (BatchState::Paused, row.reason.clone()),
+            "paused" => (BatchState::Paused, reason),
             "cancelled" => (BatchState::Cancelled, None),
             _ => (BatchState::Succeeded, None),
-        };
-        Ok((state, reason, job))
+        })
     }
 
     async fn present_batch(&self, row: BatchRow) -> Result<Batch, Error> {
+        let (state, reason) = self.batch_state(&row).await?;
         let (by_status, cost_usd) = self.store.batch_figures(&row.id).await?;
-        let (state, reason, job) = self.batch_state(&row).await?;
         let done = by_status.values().sum();
-        let eta_s = job.filter(|_| state == BatchState::Running).and_then(|job| time_left(&job, done, row.items));
+        let beginning = self.asked_batches.lock().unwrap_or_else(PoisonError::into_inner).get(&row.id).copied();
+        let eta_s = beginning
+            .filter(|_| state == BatchState::Running)
+            .and_then(|beginning| time_left(beginning, done, row.items));
         let BatchRow { id, label, items, job_id, created_at, finished_at, .. } = row;
         Ok(Batch { id, label, state, reason, items, done, by_status, cost_usd, eta_s, job_id, created_at, finished_at })
     }
 }
 
-/// Seconds left, if the rest goes as what this job has done: its progress is over what was open when it began.
-fn time_left(job: &Job, done: u32, items: u32) -> Option<f32> {
-    let started: Timestamp = job.started_at.as_ref()?.parse().ok()?;
-    let elapsed = Timestamp::now().duration_since(started).as_secs_f32();
-    (done < items && job.progress >= MIN_DONE_FOR_ETA).then(|| elapsed * (1.0 - job.progress) / job.progress)
+/// Where a batch's job began.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Beginning {
+    at: Instant,
+    /// Items that were done by then.
+    done: u32,
+}
+
+/// Batches being asked, by id.
+pub(super) type Beginnings = Arc<Mutex<HashMap<String, Beginning>>>;
+
+/// Seconds left, if the rest goes as what this job has done.
+fn time_left(Beginning { at, done: before }: Beginning, done: u32, items: u32) -> Option<f32> {
+    let (own, left) = (done.checked_sub(before)?, items.checked_sub(done)?);
+    let enough = own as f32 >= (items - before) as f32 * MIN_DONE_FOR_ETA;
+    (left > 0 && own > 0 && enough).then(|| at.elapsed().as_secs_f32() * left as f32 / own as f32)
 }

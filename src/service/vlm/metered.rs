@@ -76,13 +76,16 @@ impl Metered {
             return self.model.ask(request).await;
         }
         let thought_usd = prices.thought_usd(request);
-        let reserved = self.store.reserve_spending(&today(), thought_usd, self.key_id.as_deref()).await;
-        let id = reserved.map_err(|error| {
+        // Who leaves before the call is made has bought nothing, whether or not the money is aside by then; who leaves while the model thinks
+        // has asked it all the same.
+        let mut call = Call { store: self.store.clone(), open: Some((self.store.new_id(), 0.0)) };
+        let id = call.open.as_ref().map_or("", |(id, _)| id);
+        let reserved = self.store.reserve_spending(id, &today(), thought_usd, self.key_id.as_deref()).await;
+        reserved.map_err(|error| {
             let error = ChatError::NotRecordable(with_causes(&error));
             ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 }
         })?;
-        // Who leaves while the model thinks has asked it all the same.
-        let mut call = Call { store: self.store.clone(), open: Some((id, thought_usd)) };
+        call.open = call.open.take().map(|(id, _)| (id, thought_usd));
         let outcome = self.model.ask(request).await;
         call.open = call.open.take().map(|(id, _)| (id, prices.paid_usd(request, &outcome)));
         call.settle().await;

@@ -1,0 +1,105 @@
+"""A scripted chat model behind OpenAI's protocol. What it answers depends on the prompt alone; every call is written down."""
+import json
+import re
+import threading
+import time
+import zlib
+from dataclasses import dataclass
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+
+PROMPT_USD, COMPLETION_USD = 2.0, 8.0
+CANDIDATE = re.compile(r"^ID (\d+): score", re.MULTILINE)
+QUESTION = re.compile(r'^Query: (".*")$', re.MULTILINE)
+# How a question that is asked again begins what was wrong.
+AGAIN = "You answered before with"
+
+
+@dataclass
+class Call:
+    """One call of the model."""
+    question: str
+    # 1 for the first call of a question, 2 where the model is told what was wrong with its first answer.
+    turn: int
+    # Which server asked: they are counted from 0.
+    life: int
+    arrived: float
+    cost_usd: float
+    # When the last byte of the reply was handed to the system; None where the caller was gone before that.
+    delivered: float = None
+
+
+def answer_to(text, question, turn):
+    """The six lines. One question in sixteen is first answered with an id that is none, one in sixteen with none."""
+    ids, dice = [int(found) for found in CANDIDATE.findall(text)], zlib.crc32(question.encode())
+    chosen = str(ids[dice // 256 % len(ids)]) if ids else "none"
+    if dice % 16 == 0 and turn == 1:
+        chosen = "99999"
+    elif dice % 16 == 1:
+        chosen = "none"
+    return (f"Predicted ID: {chosen}\nExplanation: It was drawn by lot for {question}\nCandidate Names: none\n"
+            "Target name matches?: true\nAnchor ID: unknown\nRelation used: none")
+
+
+class Model(ThreadingHTTPServer):
+    """Listens on loopback. `pace_s` is how long it thinks, on the average; `life` is the number of the server that asks now."""
+    daemon_threads = True
+
+    def __init__(self):
+        super().__init__(("127.0.0.1", 0), Handler)
+        self.calls, self.life, self.pace_s = [], 0, 0.01
+        self.changed = threading.Condition()
+        threading.Thread(target=self.serve_forever, daemon=True).start()
+
+    @property
+    def flags(self):
+        """What a server is told of it."""
+        return ["--vlm-url", f"http://127.0.0.1:{self.server_port}/v1", "--vlm-model", "scripted", "--vlm-prompt-usd", PROMPT_USD,
+                "--vlm-completion-usd", COMPLETION_USD, "--vlm-backoff-ms", 50]
+
+    def wait_for_replies(self, number, within_s):
+        """Until so many more replies were delivered."""
+        with self.changed:
+            wanted = self.replies() + number
+            self.changed.wait_for(lambda: self.replies() >= wanted, within_s)
+
+    def replies(self):
+        return sum(call.delivered is not None for call in self.calls)
+
+    def handle_error(self, request, client_address):
+        """A caller that was killed is no news."""
+
+
+class Handler(BaseHTTPRequestHandler):
+    protocol_version = "HTTP/1.1"
+    # Otherwise the end of a reply waits for the receipt of its beginning.
+    disable_nagle_algorithm = True
+
+    def setup(self):
+        # A connection belongs to the server that opened it, whenever what it sent is read.
+        self.life = self.server.life
+        super().setup()
+
+    def do_POST(self):
+        body = json.loads(self.rfile.read(int(self.headers["content-length"])))
+        arrived = time.time()
+        content = body["messages"][-1]["content"]
+        text = content if isinstance(content, str) else "\n".join(part["text"] for part in content if part["type"] == "text")
+        question, turn = json.loads(QUESTION.findall(text)[-1]), 2 if AGAIN in text else 1
+        said = answer_to(text, question, turn)
+        # Counts of tokens, from the words alone: the same prompt costs the same every time.
+        usage = {"prompt_tokens": 1000 + len(text) // 4, "completion_tokens": len(said) // 4}
+        cost = (usage["prompt_tokens"] * PROMPT_USD + usage["completion_tokens"] * COMPLETION_USD) / 1e6
+        call = Call(question, turn, self.life, arrived, cost)
+        with self.server.changed:
+            self.server.calls.append(call)
+        # Between a half and one and a half of the pace, the same for a question every time.
+        time.sleep(self.server.pace_s * (0.5 + zlib.crc32(question.encode()) % 1000 / 1000))
+        reply = json.dumps({"choices": [{"message": {"role": "assistant", "content": said}}], "usage": usage}).encode()
+        head = f"HTTP/1.1 200 OK\r\ncontent-type: application/json\r\ncontent-length: {len(reply)}\r\n\r\n".encode()
+        self.connection.sendall(head + reply)
+        with self.server.changed:
+            call.delivered = time.time()
+            self.server.changed.notify_all()
+
+    def log_message(self, *_):
+        """Calls are written down elsewhere."""

@@ -1,0 +1,16 @@
+"""Questions without number, no two alike, about things of a living room."""
+import itertools
+import random
+
+COLOURS = ["", "red ", "blue ", "brown ", "white ", "black ", "green ", "orange ", "grey ", "small ", "large ", "wooden "]
+NOUNS = ["chair", "stool", "mug", "table", "sofa", "plant", "curtain", "rug", "backpack", "trash can", "desk", "lamp", "door", "window",
+         "coffee table", "dining table", "book", "picture"]
+RELATIONS = ["next to", "closest to", "farthest from", "on", "under", "left of", "right of", "behind", "in front of", "above"]
+ANCHORS = ["the dining table", "the coffee table", "the desk", "the door", "the window", "the red sofa", "the rug", "the trash can"]
+
+
+def questions(number, seed):
+    """So many different questions, always the same ones for a seed."""
+    every = [f"the {colour}{noun} {relation} {anchor}"
+             for colour, noun, relation, anchor in itertools.product(COLOURS, NOUNS, RELATIONS, ANCHORS) if noun not in anchor]
+    return random.Random(seed).sample(every, number)

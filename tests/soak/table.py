@@ -1,0 +1,28 @@
+"""One table of figures, and what did not hold."""
+
+
+class Table:
+    def __init__(self, title):
+        self.title, self.rows, self.failed, self.notes = title, [], [], []
+
+    def row(self, what, figure, wanted="", held=True):
+        """A figure; `wanted` says what was promised, and `held` whether it is kept. A figure without a promise is only told."""
+        self.rows.append((what, str(figure), wanted, "" if held else "<-- FAILED"))
+        if not held:
+            self.failed.append(what)
+
+    def equal(self, what, figure, wanted):
+        self.row(what, figure, str(wanted), figure == wanted)
+
+    def note(self, text):
+        """Said under the table."""
+        self.notes.append(text)
+
+    def print(self):
+        widths = [max([len(row[column]) for row in self.rows] + [0]) for column in range(3)]
+        print(f"\n{self.title}")
+        for row in self.rows:
+            print("  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths)) + "  " + row[3])
+        for text in self.notes:
+            print(f"  {text}")
+        print(flush=True)

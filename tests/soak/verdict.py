@@ -1,0 +1,176 @@
+"""What must hold after the kills.
+
+When is an item paid for twice? The server keeps an answer in its database and tells nobody before it is on the disk. So the line is drawn
+there: after every kill a copy of the database says which items have their answer. A question whose answer is kept must never reach the
+model again, and within one life of the server no call is made twice. What was under way when the kill came may be asked again, and is
+told in two numbers: calls whose reply was not whole yet, and calls whose whole reply had been handed to the system, but the answer was not
+on the disk. The second can not be avoided by anybody who has no transaction with the model; it can only be as large as what is asked at once.
+
+Answers are compared with those of the undisturbed run whole, but for these fields: `id` and `scene_id` (drawn anew in every folder), `evidence`
+(paths with that id), `timings_ms`, and `latency_ms` of the calls in `trace`.
+"""
+import collections
+import json
+
+from records import Records
+from wire import expect
+from work import instances
+
+# Dollars that do not add up because they are floats.
+EPSILON_USD = 1e-6
+
+
+def comparable(line):
+    """A line of results without what differs between two runs."""
+    result = json.loads(line)
+    answer = result.get("answer") or {}
+    for field in ("id", "scene_id", "evidence", "timings_ms"):
+        answer.pop(field, None)
+    for call in (answer.get("trace") or {}).get("calls", []):
+        call.pop("latency_ms", None)
+    return {"item": result["item"], "status": result["status"], "query": result["query"], "error": result.get("error"), "answer": answer}
+
+
+def answers(lines):
+    return [comparable(line) for line in lines]
+
+
+class Told:
+    """What the last server says, before it stops."""
+
+    def __init__(self, server, batch, uploader, asker):
+        connection = server.connection()
+        self.exit_code = None
+        self.followed = batch.followed
+        self.batch = expect(connection.call("GET", f"/v1/batches/{batch.id}"), 200)
+        self.results = connection.call("GET", f"/v1/batches/{batch.id}/results").body.splitlines()
+        self.scenes, cursor = [], ""
+        while cursor is not None:
+            page = expect(connection.call("GET", f"/v1/scenes?limit=100{cursor and '&cursor=' + cursor}"), 200)
+            self.scenes += page["scenes"]
+            cursor = page["next_cursor"]
+        by_id = {scene["id"]: scene for scene in self.scenes}
+        self.lost_scenes = [name for name, scene in uploader.scenes.items() if scene not in by_id]
+        self.parsed = [(by_id[scene]["parse_version"], instances(connection, scene)) for scene in uploader.scenes.values() if scene in by_id]
+        self.lost_jobs = [job for job in uploader.jobs if connection.call("GET", f"/v1/jobs/{job}").status != 200]
+        asked = [json.loads(line) for line in self.results]
+        asked = [line["answer_id"] for line in asked if (line.get("answer") or {}).get("usage", {}).get("vlm_calls")]
+        self.transcripts = len(asked)
+        self.lost_transcripts = [id for id in asked if connection.call("GET", f"/v1/answers/{id}/prompt").status != 200]
+        self.answers_given, self.not_stored = len(asker.given), asker.not_stored
+        self.lost_answers = sum(connection.call("GET", f"/v1/answers/{id}").body != body for id, body in asker.given.items())
+
+
+def under_way(storm, number_of):
+    """For every kill the questions that were asked and not kept: those whose reply was not whole, and those whose last reply was, with how
+    long before the kill it was delivered."""
+    by_life = collections.defaultdict(dict)
+    for call in storm.model.calls:
+        by_life[call.life][call.question] = call
+    cut, unkept, most = [], [], 0
+    for at, life in enumerate(storm.lives):
+        lost = [call for question, call in by_life[at].items() if number_of[question] not in life.kept]
+        whole = [call for call in lost if call.delivered is not None and call.delivered <= life.killed]
+        cut += [call for call in lost if call not in whole]
+        unkept += [life.killed - call.delivered for call in whole]
+        most = max(most, len(lost))
+    return cut, unkept, most
+
+
+def paid_twice(storm, number_of):
+    """Calls for a question whose answer was kept after an earlier kill; calls made twice within one life; calls made again for another reason."""
+    kept_since = {}
+    for at, life in enumerate(storm.lives):
+        for item in life.kept:
+            kept_since.setdefault(item, at)
+    numbers = collections.Counter((call.question, call.turn, call.life) for call in storm.model.calls)
+    after_kept = sum(call.life > kept_since.get(number_of[call.question], len(storm.lives)) for call in storm.model.calls)
+    within = sum(count - 1 for count in numbers.values())
+    again = len(storm.model.calls) - len({(call.question, call.turn) for call in storm.model.calls})
+    return after_kept, within, again
+
+
+def judge_batch_job(table, batch):
+    """Whether the batch's job went on after every kill. Interruptions count only while a job gets no further."""
+    table.row("batch put off though it got further", len(batch.put_off_wrongly), "0", not batch.put_off_wrongly)
+    table.row("batch put off in all, and put on again by this script", batch.put_off, "told only")
+    table.equal("batch paused though nobody asked for it", batch.paused, 0)
+    for what in batch.put_off_wrongly[:3]:
+        table.note(f"put off {what}")
+
+
+def judge(table, storm, told, expected, parses, data):
+    """The batch, its money, uploads and jobs."""
+    number = len(storm.items)
+    number_of = {item["query"]: at for at, item in enumerate(storm.items)}
+    kinds = collections.Counter(life.moment for life in storm.lives)
+    table.row("moments", ", ".join(f"{kind} {count}" for kind, count in sorted(kinds.items())))
+    working = sum(0 < life.open_items < number for life in storm.lives)
+    table.row("kills while the batch was at work", f"{working} of {len(storm.lives)}", "more than half", 2 * working > len(storm.lives))
+
+    table.row("the batch", f"{told.batch['state']}, {told.batch['done']} of {number} done",
+              "succeeded", (told.batch["state"], told.batch["done"]) == ("succeeded", number))
+    seen = collections.Counter(json.loads(line)["item"] for line in told.results)
+    table.equal("items lost", number - len(seen), 0)
+    with Records(data) as records:
+        several = sum(count > 1 for query, count in records.answers_by_query().items() if query in number_of)
+        failed = [job for job in records.jobs() if job["state"] == "failed"]
+        open_jobs = [job for job in records.jobs() if job["state"] in ("queued", "running")]
+        spent, left = records.spent_usd(), records.reserved_usd()
+    table.equal("items doubled, in the results or among kept answers", sum(count - 1 for count in seen.values()) + several, 0)
+    table.equal("items failed", told.batch["by_status"].get("failed", 0), 0)
+    table.row("results followed through all servers", "the same, byte for byte" if told.followed == told.results else "others",
+              "the same", told.followed == told.results)
+    answered = answers(told.results)
+    unlike = sum(a != b for a, b in zip(answered, expected)) + abs(len(answered) - len(expected))
+    table.equal("answers unlike those of the undisturbed run", unlike, 0)
+    for one, other in [(a, b) for a, b in zip(answered, expected) if a != b][:2]:
+        table.note(f"unlike: {json.dumps(one)[:700]}\n    {json.dumps(other)[:700]}")
+
+    cut, unkept, most = under_way(storm, number_of)
+    after_kept, within, again = paid_twice(storm, number_of)
+    table.equal("calls for an item whose answer was kept", after_kept, 0)
+    table.equal("calls made twice within one life", within, 0)
+    table.row("questions under way at a kill: reply not whole", len(cut), "told only")
+    longest = f", the longest {max(unkept) * 1e3:.0f} ms before" if unkept else ""
+    table.row("questions under way at a kill: reply whole, not kept yet", f"{len(unkept)}{longest}", "told only")
+    table.row("most under way at one kill", most, "4 at most", most <= 4)
+    table.row("calls made again, all for these reasons", f"{again} of {len(storm.model.calls)}",
+              f"{2 * (len(cut) + len(unkept))} at most", again <= 2 * (len(cut) + len(unkept)))
+
+    # What a kill left reserved counts as spent; beyond that, what was paid is what the model delivered: at least for the answers
+    # that are kept, at most for every call.
+    kept_usd = sum((json.loads(line).get("answer") or {}).get("usage", {}).get("cost_usd", 0.0) for line in told.results)
+    every_usd = sum(call.cost_usd for call in storm.model.calls)
+    settled = spent - sum(storm.reserved.values())
+    held = kept_usd - EPSILON_USD <= settled <= every_usd + EPSILON_USD
+    table.row("spent, less what kills left reserved, USD", f"{settled:.6f}", f"{kept_usd:.6f} to {every_usd:.6f}", held)
+    table.row("left reserved by kills, counted as spent, USD", f"{sum(storm.reserved.values()):.6f} in {len(storm.reserved)} calls")
+    table.row("still reserved, USD", f"{left:.6f}", "0", left == 0)
+    agrees = abs(told.batch["cost_usd"] - kept_usd) < EPSILON_USD
+    table.row("cost the batch tells, USD", f"{told.batch['cost_usd']:.6f}", f"{kept_usd:.6f}", agrees)
+
+    names = collections.Counter(scene["name"] for scene in told.scenes)
+    table.row("uploads", f"{len(told.parsed)} acknowledged, lost {len(told.lost_scenes)}, doubled {sum(n - 1 for n in names.values())}",
+              "lost 0, doubled 0", not told.lost_scenes and max(names.values()) == 1)
+    others = sum(found != parses[version > 1] for version, found in told.parsed)
+    table.row("parses unlike those of the undisturbed run", others, "0", others == 0)
+    table.row("single answers acknowledged", f"{told.answers_given}, lost or changed {told.lost_answers}", "lost 0", told.lost_answers == 0)
+    # The disk is not full: there is no reason for this.
+    table.equal("single answers given, but not kept", told.not_stored, 0)
+    table.row("prompts of the batch's answers", f"{told.transcripts}, lost {len(told.lost_transcripts)}", "lost 0", not told.lost_transcripts)
+    table.row("jobs", f"failed {len(failed)}, not over {len(open_jobs)}, lost {len(told.lost_jobs)}", "0, 0, 0",
+              not failed and not open_jobs and not told.lost_jobs)
+    for job in failed + open_jobs:
+        table.note(f"job: {job}")
+    table.row("answers and connections that should not be", len(storm.complaints), "0", not storm.complaints)
+    for complaint in storm.complaints[:5]:
+        table.note(f"should not be: {complaint[:400]}")
+    table.equal("exit code of the last server", told.exit_code, 0)
+
+
+def judge_folder(table, code, text):
+    """Whether the stopped server's folder is whole, as the doctor says. What kills left was swept when the last server started."""
+    table.row("doctor", text.strip().splitlines()[-1][-60:], "whole", code == 0)
+    if code:
+        table.note(text[:2000])
