@@ -82,10 +82,16 @@ struct Place {
 /// As many as a page holds.
 const PAGE: u32 = 100;
 
+/// A data folder whose server is stopped.
+struct Folder {
+    keys: Keyring,
+    store: Store,
+}
+
 /// Where keys are made, listed and revoked.
 enum Keys {
     Server(Client),
-    Folder(Keyring, Store),
+    Folder(Box<Folder>),
 }
 
 impl Keys {
@@ -100,13 +106,14 @@ impl Keys {
         let store = Store::open_as_it_is(folder)
             .await
             .with_context(|| format!("the data folder {folder} (while its server runs, leave --data-dir out and ask the server)"))?;
-        Ok(Self::Folder(Keyring::open(store.clone(), None).await?, store))
+        let keys = Keyring::open(store.clone(), None).await?;
+        Ok(Self::Folder(Box::new(Folder { keys, store })))
     }
 
     async fn create(&self, new: NewKey) -> anyhow::Result<CreatedKey> {
         Ok(match self {
             Self::Server(client) => client.create_key(&new).await?,
-            Self::Folder(keys, _) => keys.create(new).await?,
+            Self::Folder(folder) => folder.keys.create(new).await?,
         })
     }
 
@@ -115,7 +122,7 @@ impl Keys {
         loop {
             let page = match self {
                 Self::Server(client) => client.keys(PAGE, cursor.as_deref()).await?,
-                Self::Folder(keys, _) => keys.list(PAGE, cursor.as_deref()).await?,
+                Self::Folder(folder) => folder.keys.list(PAGE, cursor.as_deref()).await?,
             };
             keys.extend(page.keys);
             cursor = page.next_cursor;
@@ -128,13 +135,13 @@ impl Keys {
     async fn revoke(&self, id: &str) -> anyhow::Result<Key> {
         Ok(match self {
             Self::Server(client) => client.revoke_key(id).await?,
-            Self::Folder(keys, _) => keys.revoke(id).await?,
+            Self::Folder(folder) => folder.keys.revoke(id).await?,
         })
     }
 
     async fn close(self) {
-        if let Self::Folder(_, store) = self {
-            store.close().await;
+        if let Self::Folder(folder) = self {
+            folder.store.close().await;
         }
     }
 }
