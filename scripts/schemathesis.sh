@@ -14,6 +14,9 @@ fi
 data=$(mktemp -d)
 server=
 trap '[ -z "$server" ] || { kill "$server" && wait "$server" || true; }; rm -rf "$data"' EXIT
+# With a key, as a server for others has one.
+export UNIGROUND_API_KEY=ug_schemathesis_0123456789
+show=(-H "Authorization: Bearer $UNIGROUND_API_KEY")
 ./target/release/uniground serve --listen 127.0.0.1:0 --data-dir "$data/data" >"$data/out" 2>"$data/log" &
 server=$!
 for _ in $(seq 100); do
@@ -24,15 +27,15 @@ done
 [ -n "$url" ] || { cat "$data/log" >&2; exit 1; }
 
 # A parsed scene, so that requests reach more than "not found".
-scene=$(curl -fsS -X POST "$url/v1/scenes?name=fuzz" -H 'content-type: application/zip' --data-binary @examples/living_room.zip |
+scene=$(curl -fsS "${show[@]}" -X POST "$url/v1/scenes?name=fuzz" -H 'content-type: application/zip' --data-binary @examples/living_room.zip |
     "$venv/bin/python" -c 'import json,sys; print(json.load(sys.stdin)["scene"]["id"])')
 for _ in $(seq 300); do
-    curl -fsS "$url/v1/scenes/$scene" | grep -q '"status":"ready"' && break
+    curl -fsS "${show[@]}" "$url/v1/scenes/$scene" | grep -q '"status":"ready"' && break
     sleep 0.1
 done
-answer=$(curl -fsS -X POST "$url/v1/scenes/$scene/ground" -H 'content-type: application/json' -d '{"query":"the sofa"}' |
+answer=$(curl -fsS "${show[@]}" -X POST "$url/v1/scenes/$scene/ground" -H 'content-type: application/json' -d '{"query":"the sofa"}' |
     "$venv/bin/python" -c 'import json,sys; print(json.load(sys.stdin)["id"])')
-job=$(curl -fsS "$url/v1/scenes/$scene" | "$venv/bin/python" -c 'import json,sys; print(json.load(sys.stdin)["job_id"])')
+job=$(curl -fsS "${show[@]}" "$url/v1/scenes/$scene" | "$venv/bin/python" -c 'import json,sys; print(json.load(sys.stdin)["job_id"])')
 
 cat >"$data/schemathesis.toml" <<TOML
 hooks = "$PWD/scripts/schemathesis_hooks.py"
@@ -49,7 +52,7 @@ expected-statuses = ["2xx", "3xx", "4xx", 502]
 include-name = "DELETE /v1/scenes/{scene_id}"
 enabled = false
 TOML
-"$venv/bin/schemathesis" --config-file "$data/schemathesis.toml" run "$url/openapi.json" \
+"$venv/bin/schemathesis" --config-file "$data/schemathesis.toml" run "$url/openapi.json" "${show[@]}" \
     --checks not_a_server_error,status_code_conformance,content_type_conformance,response_schema_conformance,response_headers_conformance \
     --phases examples,coverage,fuzzing --max-examples "${EXAMPLES:-30}" --seed 1 --suppress-health-check all --no-color
 kill -0 "$server"
