@@ -53,14 +53,9 @@ DROP INDEX jobs_by_subject;
 -- How often in a row a job failed in a way that may pass, without getting further than before.
 ALTER TABLE jobs ADD COLUMN failures INTEGER NOT NULL DEFAULT 0;
 
--- Ends of jobs that somebody wants to be told of: what stands here was not taken yet. Written with the end itself, whatever brought it about.
+-- Ends of jobs that somebody wants to be told of: what stands here was not taken yet. A trigger writes them, where a webhook is configured.
 CREATE TABLE announcements (
     job_id     TEXT PRIMARY KEY REFERENCES jobs (id) ON DELETE CASCADE,
     attempts   INTEGER NOT NULL DEFAULT 0,
     not_before TEXT
 ) STRICT, WITHOUT ROWID;
-CREATE TRIGGER jobs_that_end AFTER UPDATE OF state ON jobs
-WHEN NEW.state IN ('succeeded', 'failed', 'cancelled') AND OLD.state NOT IN ('succeeded', 'failed', 'cancelled')
-BEGIN
-    INSERT OR IGNORE INTO announcements (job_id) VALUES (NEW.id);
-END;

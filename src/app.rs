@@ -70,6 +70,7 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     let address = listener.local_addr()?;
 
     let shutdown = CancellationToken::new();
+    service.note_announcements(webhook.as_ref()).await?;
     jobs.refuse_unknown_kinds(&[ParseJob::NAME, NamingJob::NAME, BatchJob::NAME]).await?;
     let lanes = vec![
         start_lane(&jobs, ParseJob(service.clone()), &shutdown),
@@ -77,9 +78,8 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         start_lane(&jobs, BatchJob(service.clone()), &shutdown),
     ];
     tokio::spawn(keep_house(service.clone(), shutdown.clone()));
-    match webhook {
-        Some(webhook) => drop(tokio::spawn(service.clone().announce(Arc::new(webhook), shutdown.clone()))),
-        None => service.announce_nothing().await?,
+    if let Some(webhook) = webhook {
+        tokio::spawn(service.clone().announce(Arc::new(webhook), shutdown.clone()));
     }
     let app = App {
         service,

@@ -61,12 +61,16 @@ impl Service {
         }
     }
 
-    /// Without a webhook nobody wants to be told, of what ended before either.
+    /// Has the ends of jobs noted from now on, where there is a webhook; without one nobody wants to be told, of what ended before either.
     ///
     /// # Errors
     /// [`Error::Store`].
-    pub async fn announce_nothing(&self) -> Result<(), Error> {
-        Ok(self.store.forget_announcements().await?)
+    pub async fn note_announcements(&self, webhook: Option<&Webhook>) -> Result<(), Error> {
+        match webhook {
+            Some(_) => self.store.note_announcements().await?,
+            None => self.store.note_no_announcements().await?,
+        }
+        Ok(())
     }
 
     async fn tell(self, webhook: Arc<Webhook>, job_id: String, tried: u32) {

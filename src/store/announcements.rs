@@ -36,12 +36,27 @@ impl Store {
         Ok(())
     }
 
-    /// Forgets all: nobody wants to be told.
+    /// Notes every end of a job from now on, as one with the end itself, whatever brings it about. A job that was done when it was made is
+    /// none: who asked for it knows.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn forget_announcements(&self) -> Result<(), StoreError> {
-        sqlx::query("DELETE FROM announcements").execute(self.writer.pool()).await?;
+    pub async fn note_announcements(&self) -> Result<(), StoreError> {
+        let sql = "CREATE TRIGGER IF NOT EXISTS jobs_that_end AFTER UPDATE OF state ON jobs
+                   WHEN NEW.state IN ('succeeded', 'failed', 'cancelled') AND OLD.state NOT IN ('succeeded', 'failed', 'cancelled')
+                   BEGIN INSERT OR IGNORE INTO announcements (job_id) VALUES (NEW.id); END";
+        sqlx::query(sql).execute(self.writer.pool()).await?;
+        Ok(())
+    }
+
+    /// Notes none, and forgets what was noted: nobody wants to be told.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn note_no_announcements(&self) -> Result<(), StoreError> {
+        for sql in ["DROP TRIGGER IF EXISTS jobs_that_end", "DELETE FROM announcements"] {
+            sqlx::query(sql).execute(self.writer.pool()).await?;
+        }
         Ok(())
     }
 }
