@@ -46,7 +46,8 @@ ALTER TABLE answers ADD COLUMN status TEXT GENERATED ALWAYS AS (json_extract(bod
 DROP INDEX answers_by_scene;
 CREATE INDEX answers_by_scene ON answers (scene_id, id);
 CREATE INDEX answers_by_status ON answers (status, id);
-CREATE INDEX batch_items_by_answer ON batch_items (answer_id);
+CREATE INDEX answers_by_time ON answers (created_at);
+CREATE INDEX batch_items_by_answer ON batch_items (batch_id, answer_id);
 CREATE INDEX jobs_by_subject_and_time ON jobs (subject, id);
 DROP INDEX jobs_by_subject;
 

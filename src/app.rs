@@ -1,6 +1,6 @@
 //! Composition root: configuration to parts to a running service to a clean stop. The only place that knows every part.
 
-use crate::chat::ReplayCache;
+use crate::chat::{ChatClient, ReplayCache};
 use crate::config::ServeConfig;
 use crate::http::{self, AllowedHosts, App, MAX_EVENT_STREAMS};
 use crate::inference::Probe;
@@ -45,8 +45,8 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         "{} can be reached from other machines: make a key (uniground key create), set UNIGROUND_API_KEY or --api-key-file, or say --allow-anybody",
         config.listen
     );
-    // With a key, who asks knows it; on an address of the network, the operator has said that anybody may.
-    let is_private = !keys.is_wanted() && config.listen.ip().is_loopback();
+    // On an address of the network, the operator has said that anybody may ask, or there are keys.
+    let is_private = config.listen.ip().is_loopback();
     let metrics = Arc::<Metrics>::default();
     let jobs = Jobs::new(store.clone(), config.limits.max_queued_jobs).counted_by(metrics.clone());
     let models = tokio::task::spawn_blocking({
@@ -58,10 +58,8 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         tracing::info!(name = model.name, fingerprint = model.fingerprint, runs_on = model.runs_on, "loaded a model");
     }
     let vlm_settings = VlmSettings { daily_usd: config.vlm.vlm_daily_usd, json: config.vlm.vlm_json };
-    let vlm = config
-        .vlm
-        .client(ReplayCache::Off)?
-        .map(|client| Vlm::new(Arc::new(client), vlm_settings, store.clone(), metrics.clone()));
+    let chat = config.vlm.client(ReplayCache::Off)?.map(Arc::new);
+    let vlm = chat.clone().map(|chat| Vlm::new(chat, vlm_settings, store.clone(), metrics.clone()));
     let parsing = background::pool().context("threads for parses")?;
     let inference = config.models.bundles.inference_url.as_deref().filter(|_| !models.loaded.is_empty());
     let inference = inference.map(Probe::new).transpose().context("a client for the inference server")?;
@@ -78,6 +76,9 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         start_lane(&jobs, BatchJob(service.clone()), &shutdown),
     ];
     tokio::spawn(keep_house(service.clone(), shutdown.clone()));
+    if let Some(chat) = chat {
+        tokio::spawn(look_for_model(chat, service.clone()));
+    }
     if let Some(webhook) = webhook {
         tokio::spawn(service.clone().announce(Arc::new(webhook), shutdown.clone()));
     }
@@ -98,6 +99,17 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
 fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken) -> JoinHandle<()> {
     let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
     tokio::spawn(async move { jobs.run_lane(Arc::new(kind), shutdown).await })
+}
+
+/// Says at the start, and not with somebody's question, that the vision-language model's server is not there.
+async fn look_for_model(chat: Arc<ChatClient>, service: Service) {
+    if let (Err(error), Some(vlm)) = (chat.reach().await, service.vlm()) {
+        tracing::warn!(
+            error = &error as &dyn std::error::Error,
+            "the vision-language model's server can not be reached: built-in parts answer until it can"
+        );
+        vlm.found_gone();
+    }
 }
 
 /// Removes what was kept long enough, sweeps, and looks whether what is stored is still what was written: a while after the start, and every day.

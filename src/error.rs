@@ -5,7 +5,7 @@ use crate::store::{StoreError, is_disk_full};
 use std::io;
 use uniground_core::grounding::pipeline::QuestionError;
 use uniground_core::ingest::IngestError;
-use uniground_core::models::chat::{AskError, OverBudget};
+use uniground_core::models::chat::{AskError, ChatError, ChatFailure, OverBudget};
 use uniground_core::models::neural::ModelError;
 use uniground_core::parse::ScanError;
 use uniground_core::scene::InstanceId;
@@ -54,6 +54,8 @@ pub enum Error {
     Invalid { pointer: String, detail: String },
     #[error("no vision-language model is configured; use reasoner \"auto\" or \"builtin\", and parser \"builtin\"")]
     VlmNotConfigured,
+    #[error("the vision-language model's server is down: it is tried again in {again_in_s} s")]
+    VlmDown { again_in_s: u64 },
     #[error("the vision-language model could not be asked, in {attempts} attempts: {why}")]
     VlmFailed { why: String, attempts: u32 },
     #[error(transparent)]
@@ -94,6 +96,7 @@ impl From<AskError> for Error {
     fn from(error: AskError) -> Self {
         match error {
             AskError::Budget(budget) => Self::OverBudget(budget),
+            AskError::Chat(ChatFailure { error: ChatError::Down { again_in_s }, .. }) => Self::VlmDown { again_in_s },
             AskError::Chat(failure) => Self::VlmFailed { why: failure.error.to_string(), attempts: failure.attempts },
             AskError::CallsUsedUp { .. } => Self::VlmFailed { why: error.to_string(), attempts: 0 },
         }
@@ -148,6 +151,7 @@ impl Error {
                 | Self::Overloaded
                 | Self::AnswerNotKept
                 | Self::VlmFailed { .. }
+                | Self::VlmDown { .. }
                 | Self::Jobs(JobsError::Store(_))
                 | Self::Ingest(IngestError::Io { .. })
         )
@@ -230,7 +234,9 @@ impl Error {
             Self::TooManyItems { .. } => "too_many_items",
             Self::SceneNotReady { .. } => "scene_not_ready",
             Self::Invalid { .. } => "invalid_request",
-            Self::VlmNotConfigured | Self::VlmFailed { .. } => "vlm_unavailable",
+            Self::VlmNotConfigured => "vlm_not_configured",
+            Self::VlmFailed { .. } => "vlm_unavailable",
+            Self::VlmDown { .. } => "vlm_down",
             Self::OverBudget(_) => "budget_spent",
             Self::NoTranscript { .. } => "no_transcript",
             Self::AnswerPictureNotFound { .. } => "answer_picture_not_found",

@@ -135,6 +135,8 @@ impl Attempt {
 }
 
 const MAX_REDIRECTS: usize = 3;
+/// Longest the endpoint's server is looked for.
+const LONGEST_LOOK: Duration = Duration::from_secs(5);
 /// Servers count differently, pictures above all; what lies beyond these times what was reckoned is no count.
 const MOST_PROMPT_TIMES: u64 = 20;
 /// Models think before they speak, and are paid for that.
@@ -169,6 +171,17 @@ impl ChatClient {
         });
         let http = reqwest::Client::builder().redirect(redirect).build()?;
         Ok(Self { http, endpoint, patience, replay_cache, turns })
+    }
+
+    /// Whether the endpoint's server is there: any answer will do, and none costs anything.
+    ///
+    /// # Errors
+    /// Why it can not be reached.
+    pub async fn reach(&self) -> Result<(), reqwest::Error> {
+        let url = format!("{}/models", self.endpoint.base_url.trim_end_matches('/'));
+        let request = self.http.get(url).timeout(LONGEST_LOOK);
+        let request = self.endpoint.api_key.iter().fold(request, reqwest::RequestBuilder::bearer_auth);
+        request.send().await.map(drop).map_err(reqwest::Error::without_url)
     }
 
     async fn ask_live(&self, request: &ChatRequest, mut body: Value) -> Result<ChatReply, ChatFailure> {

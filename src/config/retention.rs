@@ -6,28 +6,28 @@ use uniground_types::stats::Retention;
 #[derive(Debug, Clone, clap::Args)]
 pub struct RetentionConfig {
     /// Days for which answers are kept; 0: for ever
-    #[arg(long, env = "UNIGROUND_KEEP_ANSWERS_DAYS", default_value_t = Retention::default().answers_days, value_name = "DAYS")]
+    #[arg(long, env = "UNIGROUND_KEEP_ANSWERS_DAYS", default_value_t = Retention::default().answers_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_answers_days: u32,
     /// Days for which the pictures, prompts and replies of answers by a model are kept; 0: none are
-    #[arg(long, env = "UNIGROUND_KEEP_EVIDENCE_DAYS", default_value_t = Retention::default().evidence_days, value_name = "DAYS")]
+    #[arg(long, env = "UNIGROUND_KEEP_EVIDENCE_DAYS", default_value_t = Retention::default().evidence_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_evidence_days: u32,
     /// Days for which jobs are kept that are over and that no scene and no batch refers to; 0: for ever
-    #[arg(long, env = "UNIGROUND_KEEP_JOBS_DAYS", default_value_t = Retention::default().jobs_days, value_name = "DAYS")]
+    #[arg(long, env = "UNIGROUND_KEEP_JOBS_DAYS", default_value_t = Retention::default().jobs_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_jobs_days: u32,
     /// Days for which batches are kept that are over, with their items; their answers have an age of their own; 0: for ever
-    #[arg(long, env = "UNIGROUND_KEEP_BATCHES_DAYS", default_value_t = Retention::default().batches_days, value_name = "DAYS")]
+    #[arg(long, env = "UNIGROUND_KEEP_BATCHES_DAYS", default_value_t = Retention::default().batches_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_batches_days: u32,
     /// Days for which an upload's idempotency key is remembered; 0: as long as its scene
-    #[arg(long, env = "UNIGROUND_KEEP_IDEMPOTENCY_DAYS", default_value_t = Retention::default().idempotency_days, value_name = "DAYS")]
+    #[arg(long, env = "UNIGROUND_KEEP_IDEMPOTENCY_DAYS", default_value_t = Retention::default().idempotency_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_idempotency_days: u32,
     /// Days for which it is remembered what was changed, and with whose key; 0: for ever
-    #[arg(long, env = "UNIGROUND_KEEP_AUDIT_DAYS", default_value_t = Retention::default().audit_days, value_name = "DAYS")]
+    #[arg(long, env = "UNIGROUND_KEEP_AUDIT_DAYS", default_value_t = Retention::default().audit_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_audit_days: u32,
     /// Days for which a parse is kept that no scene and no answer refers to any more; 0: as long as its scan
-    #[arg(long, env = "UNIGROUND_KEEP_SUPERSEDED_DAYS", default_value_t = Retention::default().superseded_days, value_name = "DAYS")]
+    #[arg(long, env = "UNIGROUND_KEEP_SUPERSEDED_DAYS", default_value_t = Retention::default().superseded_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_superseded_days: u32,
     /// Days for which finished stages of parses are kept that no parse uses; 0: as long as their scan
-    #[arg(long, env = "UNIGROUND_KEEP_CHECKPOINTS_DAYS", default_value_t = Retention::default().checkpoints_days, value_name = "DAYS")]
+    #[arg(long, env = "UNIGROUND_KEEP_CHECKPOINTS_DAYS", default_value_t = Retention::default().checkpoints_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_checkpoints_days: u32,
     /// Most that finished stages of parses may take together, bytes
     #[arg(long, env = "UNIGROUND_MAX_CHECKPOINTS_BYTES", default_value_t = Retention::default().checkpoints_bytes, value_name = "BYTES")]

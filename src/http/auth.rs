@@ -37,16 +37,15 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
         return limited(Refused::new(StatusCode::FORBIDDEN, "scope_missing", detail).into_response(), allowance);
     }
     // Whatever needs more than reading changes something, or looks at what only admins see.
-    let done = (wanted > Scope::Read && !request.method().is_safe()).then(|| Done {
-        method: request.method().to_string(),
-        path: request.uri().path().to_owned(),
-        status: 0,
-        request_id: request_id(request.headers()),
+    let noting = (wanted > Scope::Read && !request.method().is_safe()).then(|| {
+        let (method, path) = (request.method().to_string(), request.uri().path().to_owned());
+        let done = Done { method, path, status: 0, request_id: request_id(request.headers()) };
+        app.service.keys.noting(caller.clone(), done)
     });
-    request.extensions_mut().insert(caller.clone());
+    request.extensions_mut().insert(caller);
     let response = next.run(request).await;
-    if let Some(done) = done {
-        app.service.keys.note(&caller, Done { status: response.status().as_u16(), ..done }).await;
+    if let Some(noting) = noting {
+        noting.answered(response.status().as_u16()).await;
     }
     limited(response, allowance)
 }

@@ -26,6 +26,7 @@ use uniground_types::question::{GroundRequest, ShortlistRequest};
         (status = 422, body = Problem, content_type = "application/problem+json"),
         (status = 429, body = Problem, content_type = "application/problem+json"),
         (status = 502, body = Problem, content_type = "application/problem+json"),
+        (status = 503, body = Problem, content_type = "application/problem+json"),
         (status = 504, body = Problem, content_type = "application/problem+json"),
     ),
     security(("key" = ["read"]), ())

@@ -27,6 +27,11 @@ use uniground_types::problem::Problem;
     security(("key" = ["admin"]), ())
 )]
 pub async fn create(State(app): State<App>, Json(new): Json<NewKey>) -> Result<(StatusCode, axum::Json<CreatedKey>), Refused> {
+    // Where anybody may ask, a stranger would lock everybody else out.
+    if app.allowed_hosts.is_none() && !app.service.keys.is_wanted() {
+        let detail = "the first key of a server that others can reach is made by hand: uniground key create --data-dir";
+        return Err(Refused::new(StatusCode::FORBIDDEN, "first_key_by_hand", detail));
+    }
     Ok((StatusCode::CREATED, axum::Json(app.service.keys.create(new).await?)))
 }
 
@@ -63,7 +68,7 @@ pub async fn revoke(State(app): State<App>, Path(key_id): Path<String>) -> Resul
     Ok(axum::Json(app.service.keys.revoke(&key_id).await?))
 }
 
-/// Lists what was done, newest first: every request that changed something, or tried to with a key that is known.
+/// Lists what was done, newest first: every request that was let through to change something, whatever came of it.
 #[utoipa::path(
     get, path = "/v1/audit", tag = "keys", params(Page),
     responses(

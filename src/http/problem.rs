@@ -68,7 +68,9 @@ impl From<Error> for Refused {
         let (code, status) = (error.code(), status_of(&error));
         // The only line about it: route and request id are those of the request's span.
         match status {
-            StatusCode::BAD_GATEWAY | StatusCode::GATEWAY_TIMEOUT => tracing::warn!(code, cause = with_causes(&error), "request failed"),
+            StatusCode::BAD_GATEWAY | StatusCode::GATEWAY_TIMEOUT | StatusCode::SERVICE_UNAVAILABLE => {
+                tracing::warn!(code, cause = with_causes(&error), "request failed")
+            }
             _ if status.is_server_error() => tracing::error!(code, cause = with_causes(&error), "request failed"),
             _ => tracing::debug!(code, cause = with_causes(&error), "request refused"),
         }
@@ -84,6 +86,7 @@ impl From<Error> for Refused {
             Error::Invalid { pointer, detail } => problem.errors.push(FieldError { pointer, detail }),
             Error::SceneNotReady { job_id, .. } => problem.job_id = job_id,
             Error::Overloaded | Error::TooMany { .. } => problem.retry_after_s = Some(1),
+            Error::VlmDown { again_in_s } => problem.retry_after_s = u32::try_from(again_in_s).ok(),
             _ if status == StatusCode::SERVICE_UNAVAILABLE => problem.retry_after_s = Some(2),
             Error::Jobs(JobsError::QueueFull { .. }) => problem.retry_after_s = Some(10),
             _ => {}
@@ -136,14 +139,16 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::KeyNotFound { .. }
         | Error::NoTranscript { .. }
         | Error::AnswerPictureNotFound { .. } => StatusCode::NOT_FOUND,
-        Error::SceneNotReady { .. } | Error::EncoderChanged { .. } | Error::BatchOver { .. } => StatusCode::CONFLICT,
-        Error::VlmNotConfigured | Error::VlmFailed { .. } | Error::Model(_) => StatusCode::BAD_GATEWAY,
+        Error::VlmNotConfigured | Error::SceneNotReady { .. } | Error::EncoderChanged { .. } | Error::BatchOver { .. } => {
+            StatusCode::CONFLICT
+        }
+        Error::VlmFailed { .. } | Error::Model(_) => StatusCode::BAD_GATEWAY,
         Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
         Error::TooManyScenes { .. } | Error::KeyRefused => StatusCode::FORBIDDEN,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
         Error::DiskNearlyFull { .. } => StatusCode::INSUFFICIENT_STORAGE,
         Error::Overloaded | Error::TooMany { .. } => StatusCode::TOO_MANY_REQUESTS,
-        Error::ParseDamaged { .. } => StatusCode::SERVICE_UNAVAILABLE,
+        Error::ParseDamaged { .. } | Error::VlmDown { .. } => StatusCode::SERVICE_UNAVAILABLE,
         Error::UploadTooSlow { .. } => StatusCode::REQUEST_TIMEOUT,
         Error::UploadTooLarge { .. } | Error::TooManyItems { .. } => StatusCode::PAYLOAD_TOO_LARGE,
         Error::UploadInterrupted { .. } => StatusCode::BAD_REQUEST,

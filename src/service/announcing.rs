@@ -22,7 +22,7 @@ const TOGETHER: u32 = 8;
 const FIRST_WAIT: Duration = Duration::from_secs(5);
 const LONGEST_WAIT: Duration = Duration::from_hours(2);
 /// About twelve hours.
-const TRIES: u32 = 15;
+const TRIES: u32 = 17;
 
 /// What is told.
 #[derive(Serialize)]

@@ -142,6 +142,12 @@ impl Service {
         &self.models.loaded
     }
 
+    /// The vision-language model, where one is configured.
+    #[must_use]
+    pub fn vlm(&self) -> Option<&Vlm> {
+        self.vlm.as_deref()
+    }
+
     /// The vision-language model's name.
     #[must_use]
     pub fn vlm_model(&self) -> Option<&str> {

@@ -85,7 +85,8 @@ impl AnswerQueue {
 /// Writes answers as one; for each, whether its scene and parse were still there.
 async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, StoreError> {
     let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at, record_version)
-               SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE EXISTS (SELECT 1 FROM scenes WHERE id = ?2) AND EXISTS (SELECT 1 FROM parses WHERE id = ?3)";
+               SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE EXISTS (SELECT 1 FROM scenes WHERE id = ?2) AND EXISTS (SELECT 1 FROM parses WHERE id = ?3)
+               ON CONFLICT (id) DO UPDATE SET id = id";
     let time = now();
     let mut tx = writer.begin().await?;
     let mut kept = Vec::with_capacity(answers.len());
@@ -133,25 +134,32 @@ impl Store {
     pub async fn answers(&self, filter: &AnswerFilter, limit: u32, cursor: Option<&str>) -> Result<Vec<AnswerRow>, StoreError> {
         let AnswerFilter { scene_id, batch_id, status, since, until } = filter;
         // Only what is asked for stands in the statement, so that the index of that is used.
-        let mut sql = QueryBuilder::<Sqlite>::new("SELECT id, parse_id, body FROM answers WHERE true");
-        let first = |time: &Timestamp| Self::first_id_at(*time);
+        let mut sql = QueryBuilder::<Sqlite>::new("SELECT answers.id, parse_id, body FROM ");
+        match batch_id {
+            // Through the batch, a page at a time.
+            Some(batch_id) => {
+                sql.push("batch_items CROSS JOIN answers ON answers.id = answer_id WHERE batch_id = ")
+                    .push_bind(batch_id);
+                if let Some(cursor) = cursor {
+                    sql.push(" AND answer_id < ").push_bind(cursor);
+                }
+            }
+            None => drop(sql.push("answers WHERE true")),
+        }
+        // An item of a batch has its answer's id long before it is asked: ids do not tell when an answer was given.
         for (condition, value) in [
-            (" AND id < ", cursor.map(str::to_owned)),
-            (" AND id >= ", since.as_ref().map(first)),
-            (" AND id < ", until.as_ref().map(first)),
-            (" AND scene_id = ", scene_id.clone()),
-            (" AND status = ", status.clone()),
+            (" AND answers.id < ", cursor.map(str::to_owned)),
+            (" AND answers.created_at >= ", since.map(|time| time.to_string())),
+            (" AND answers.created_at < ", until.map(|time| time.to_string())),
+            (" AND answers.scene_id = ", scene_id.clone()),
+            (" AND answers.status = ", status.clone()),
         ] {
             if let Some(value) = value {
                 sql.push(condition).push_bind(value);
             }
         }
-        if let Some(batch_id) = batch_id {
-            sql.push(" AND id IN (SELECT answer_id FROM batch_items WHERE batch_id = ")
-                .push_bind(batch_id)
-                .push(")");
-        }
-        sql.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
+        let order = if batch_id.is_some() { "answer_id" } else { "answers.id" };
+        sql.push(format!(" ORDER BY {order} DESC LIMIT ")).push_bind(limit);
         Ok(sql.build_query_as().fetch_all(&self.reader).await?)
     }
 

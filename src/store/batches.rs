@@ -91,6 +91,16 @@ pub struct ItemRow {
     pub answer: Option<String>,
 }
 
+/// What came of resuming a batch.
+pub enum Resumed {
+    /// A new job.
+    By(Box<JobRow>),
+    /// Its job was at it all the time.
+    GoesOn,
+    /// It is done or cancelled.
+    Over,
+}
+
 /// What came of submitting a batch.
 pub enum Submitted {
     New(JobRow),
@@ -291,17 +301,33 @@ impl Store {
         Ok(moved.rows_affected() > 0)
     }
 
-    /// Gives a batch another job.
+    /// Lets a batch go on: with the job it has where that is not over, else with a new one. All of it or nothing, so that no two jobs ever
+    /// ask the same batch.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn set_batch_job(&self, id: &str, job_id: &str) -> Result<(), StoreError> {
+    pub async fn resume_batch(&self, id: &str, job: &NewJob<'_>) -> Result<Resumed, StoreError> {
+        let mut tx = self.writer.begin().await?;
+        let resume = "UPDATE batches SET state = 'running', reason = NULL WHERE id = ? AND state IN ('running', 'paused')";
+        if sqlx::query(resume).bind(id).execute(&mut *tx).await?.rows_affected() == 0 {
+            tx.forget().await?;
+            return Ok(Resumed::Over);
+        }
+        let works = "SELECT count(*) FROM jobs JOIN batches ON jobs.id = job_id
+                     WHERE batches.id = ? AND jobs.state IN ('queued', 'running') AND NOT cancel_requested";
+        let works: u32 = sqlx::query_scalar(works).bind(id).fetch_one(&mut *tx).await?;
+        if works > 0 {
+            tx.commit().await?;
+            return Ok(Resumed::GoesOn);
+        }
+        let job = super::jobs::insert(&mut tx, &self.new_id(), id, job).await?;
         sqlx::query("UPDATE batches SET job_id = ? WHERE id = ?")
-            .bind(job_id)
+            .bind(&job.id)
             .bind(id)
-            .execute(self.writer.pool())
+            .execute(&mut *tx)
             .await?;
-        Ok(())
+        tx.commit().await?;
+        Ok(Resumed::By(Box::new(job)))
     }
 
     /// Items in order from a place on, each with its answer.

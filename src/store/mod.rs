@@ -26,7 +26,7 @@ mod writer;
 
 pub use answers::{AnswerFilter, AnswerRow, NewAnswer};
 pub use backup::{BackedUp, BackupError, Restored, Source, Target, back_up, check, restore};
-pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, Submitted};
+pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, Resumed, Submitted};
 pub use blobs::{Blobs, Damage, KeptCheckpoints, Look, Measured, Scratch, size_of};
 pub use figures::{Figures, JobFigures};
 pub use health::StoreHealth;

@@ -117,6 +117,7 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
              UPDATE jobs SET id = '{OLD}8', finished_at = '{LONG_AGO}' WHERE subject = '{done}';
              UPDATE jobs SET id = '{OLD}9', finished_at = '{LONG_AGO}' WHERE subject = '{paused}';
              INSERT INTO idempotency_keys (key, scene_id, created_at) SELECT 'old key', id, '{LONG_AGO}' FROM scenes;
+             INSERT INTO audit (id, at, method, path, status) VALUES ('{OLD}1', '{LONG_AGO}', 'POST', '/v1/scenes', 202);
              UPDATE parses SET superseded_at = '{LONG_AGO}';
              UPDATE parses SET created_at = '{LONG_AGO}';",
             done = batches[0],
@@ -147,7 +148,7 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     let announced = told(&gc(folder, &["--dry-run", "--json"]));
     assert_eq!(everything(folder), before, "a dry run writes nothing");
     let kept_for_ever =
-        ["answers", "jobs", "batches", "idempotency", "superseded", "checkpoints"].map(|kind| format!("--keep-{kind}-days=0"));
+        ["answers", "jobs", "batches", "idempotency", "audit", "superseded", "checkpoints"].map(|kind| format!("--keep-{kind}-days=0"));
     let kept_for_ever: Vec<&str> = ["--dry-run", "--json"].into_iter().chain(kept_for_ever.iter().map(String::as_str)).collect();
     let little: Vec<String> = told(&gc(folder, &kept_for_ever))
         .into_iter()
@@ -161,6 +162,7 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     let entries: Vec<(&str, u64)> = gone.iter().map(|(kind, (entries, _))| (kind.as_str(), *entries)).collect();
     let expected = [
         ("answers", 3),
+        ("audit", 1),
         ("batches", 1),
         ("checkpoints", 1),
         ("evidence", 1),

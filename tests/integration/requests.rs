@@ -33,7 +33,7 @@ async fn wrong_questions_are_named_by_field() {
         ),
         (r#"{"query": "the sofa", "timeout_s": 0}"#, 422, "invalid_request", Some("/timeout_s")),
         (r#"{"query": "the sofa", "max_cost_usd": -1}"#, 422, "invalid_request", Some("/max_cost_usd")),
-        (r#"{"query": "the sofa", "reasoner": "vlm"}"#, 502, "vlm_unavailable", None),
+        (r#"{"query": "the sofa", "reasoner": "vlm"}"#, 409, "vlm_not_configured", None),
     ] {
         let refusal = post_raw(&server.client, &path, "application/json", body).await;
         let shown = &body[..body.len().min(80)];

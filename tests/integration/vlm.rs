@@ -235,6 +235,33 @@ async fn what_does_not_hold_together_is_asked_again() {
     server.stop().await;
 }
 
+/// A model whose server is down costs nobody time.
+async fn down(server: &TestServer, scene: &str) {
+    let asked_at = std::time::Instant::now();
+    let error = problem(server.client.ground(scene, &by(ReasonerChoice::Vlm)).await);
+    assert_eq!((error.status, error.code.as_str()), (503, "vlm_down"), "{}", error.detail);
+    assert!(error.retry_after_s.is_some_and(|wait| (1..=10).contains(&wait)), "{error:?}");
+    let answer = server.client.ground(scene, &ask(QUERY)).await.unwrap();
+    assert!(answer.degraded && corrections(&answer).contains("is down"), "{}", corrections(&answer));
+    assert!(asked_at.elapsed() < Duration::from_secs(1), "{:?}", asked_at.elapsed());
+}
+
+/// Who gave a time gets an answer by then, from whoever can give one.
+#[tokio::test(flavor = "multi_thread")]
+async fn at_the_deadline_there_is_the_built_in_answer() {
+    let script = Script::default();
+    let url = script.serve(vec![Scripted::Stall]).await;
+    let (server, scene) = start(config(&url)).await;
+    let plain = builtin(&server, &scene).await;
+    let hurried = |reasoner| GroundRequest { timeout_s: Some(0.5), ..by(reasoner) };
+    let answer = server.client.ground(&scene, &hurried(ReasonerChoice::Auto)).await.unwrap();
+    assert!(answer.degraded && answer.answer == plain.answer, "{answer:?}");
+    assert!(corrections(&answer).contains("did not answer within 0.5 s"), "{}", corrections(&answer));
+    let error = problem(server.client.ground(&scene, &hurried(ReasonerChoice::Vlm)).await);
+    assert_eq!((error.status, error.code.as_str()), (504, "question_timed_out"));
+    server.stop().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
     let script = Script::default();
@@ -285,27 +312,27 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
     assert!(asked_at.elapsed() >= Duration::from_secs(1));
     server.stop().await;
 
-    // Nobody there; somebody who does not speak TLS; a body whose end never comes.
+    // A body whose end never comes: from then on its server is taken to be down.
+    script.next(vec![Scripted::Stall]);
+    let (server, scene) = start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
+    let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+    assert_eq!((error.status, error.code.as_str()), (502, "vlm_unavailable"));
+    assert!(error.detail.contains("timed out") && error.detail.contains("in 2 attempts"), "{}", error.detail);
+    down(&server, &scene).await;
+    server.stop().await;
+    // Nobody there; somebody who does not speak TLS: known before anybody asks.
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-    for (url, script_next, told) in [
-        (format!("http://127.0.0.1:{port}/v1"), says("-"), "refused"),
-        (url.replace("http://", "https://"), says("-"), "can not be reached"),
-        (url.clone(), Scripted::Stall, "timed out"),
-    ] {
-        script.next(vec![script_next]);
+    for url in [format!("http://127.0.0.1:{port}/v1"), url.replace("http://", "https://")] {
         let (server, scene) = start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
-        let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
-        assert_eq!((error.status, error.code.as_str()), (502, "vlm_unavailable"));
-        assert!(error.detail.contains(told) && error.detail.contains("in 2 attempts"), "{told}: {}", error.detail);
-        assert!(server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
+        down(&server, &scene).await;
         server.stop().await;
     }
     // No model at all: who insists is told, who does not gets the geometry's answer, undiminished.
     let (server, scene) = start(VlmConfig::default()).await;
     let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
-    assert_eq!((error.status, error.code.as_str()), (502, "vlm_unavailable"));
+    assert_eq!((error.status, error.code.as_str()), (409, "vlm_not_configured"));
     assert!(!server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
-    assert_eq!(problem(server.client.name_instances(&scene).await).code, "vlm_unavailable");
+    assert_eq!(problem(server.client.name_instances(&scene).await).code, "vlm_not_configured");
     server.stop().await;
 }
 

@@ -9,6 +9,7 @@ mod transcripts;
 pub use lists::LineFormat;
 pub(super) use stored_scene::StoredScene;
 
+use super::vlm::OF_QUESTION;
 use super::{Caller, Service, Vlm};
 use crate::error::Error;
 use crate::store::NewAnswer;
@@ -48,7 +49,7 @@ impl Service {
     /// The same for somebody who has chosen the answer's id, or pays.
     pub(super) async fn ground_for(&self, scene_id: &str, request: GroundRequest, asker: Asker) -> Result<Answer, Error> {
         let (start, is_batch) = (Instant::now(), asker.is_batch);
-        let answered = self.ground_uncounted(scene_id, request, asker).await;
+        let answered = Box::pin(self.ground_uncounted(scene_id, request, asker)).await;
         match &answered {
             Ok(answer) => {
                 let reasoner = if answer.models.reasoner == builtin::NAME { "builtin" } else { "vlm" };
@@ -73,15 +74,17 @@ impl Service {
             None => Vec::new(),
         };
         budgets.extend(asker.pays);
+        let asks_model = reviewer.is_some() || request.parser == ParserChoice::Vlm;
         let ask = self.ask(&request, &asker.caller, reviewer, &budgets)?;
-        let answered = pipeline::answer(&source, ask);
         let answered = match request.timeout_s {
-            Some(seconds) => timeout(Duration::from_secs_f32(seconds), answered)
-                .await
-                .unwrap_or(Err(Error::QuestionTimedOut { seconds })),
-            None => answered.await,
+            Some(seconds) => match timeout(Duration::from_secs_f32(seconds), pipeline::answer(&source, ask)).await {
+                Ok(answered) => answered?,
+                // Who did not insist on the model gets what there is without it.
+                Err(_) if asks_model && request.reasoner == ReasonerChoice::Auto => self.without_model(&request, &source, seconds).await?,
+                Err(_) => return Err(Error::QuestionTimedOut { seconds }),
+            },
+            None => pipeline::answer(&source, ask).await?,
         };
-        let answered = answered?;
         answered.calls.iter().for_each(|call| self.metrics.vlm.purpose(call.purpose));
         let version = u32::try_from(scene.parse_version).unwrap_or(0);
         let mut answer = self.told(&answered, asker.answer_id, scene.id, version, source.parse.masks.clone());
@@ -105,6 +108,16 @@ impl Service {
             answer.trace = answer.trace.filter(|_| wanted(Include::Trace));
         }
         Ok(answer)
+    }
+
+    /// The built-in answer, for a question whose time was over before the model's came.
+    async fn without_model(&self, request: &GroundRequest, source: &Arc<StoredScene>, seconds: f32) -> Result<Answered, Error> {
+        let request = GroundRequest { reasoner: ReasonerChoice::Builtin, parser: ParserChoice::Builtin, ..request.clone() };
+        let ask = self.ask(&request, &Caller::operator(), None, &[])?;
+        let mut answered = pipeline::answer(source, ask).await?;
+        answered.degraded = true;
+        answered.corrections.push(format!("the model did not answer within {seconds} s"));
+        Ok(answered)
     }
 
     /// Keeps an answer with what led to it; `false` when its scene is gone.
@@ -156,7 +169,7 @@ impl Service {
             (ReasonerChoice::Auto, Some(_)) if unpaid => Ok(None),
             (ReasonerChoice::Vlm, None) => Err(Error::VlmNotConfigured),
             (ReasonerChoice::Vlm, Some(_)) if unpaid => {
-                Err(Error::OverBudget(OverBudget { of: "this question", limit_usd: 0.0, left_usd: 0.0, wanted_usd: 0.0 }))
+                Err(Error::OverBudget(OverBudget { of: OF_QUESTION, limit_usd: 0.0, left_usd: 0.0, wanted_usd: 0.0 }))
             }
             (_, Some(vlm)) => Ok(Some(vlm.clone())),
         }

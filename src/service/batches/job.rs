@@ -4,6 +4,7 @@ use super::{Beginning, Beginnings, reason};
 use crate::error::Error;
 use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
 use crate::service::answers::Asker;
+use crate::service::vlm::OF_QUESTION;
 use crate::service::{Caller, Service, job_failure, until_cancelled};
 use crate::store::{BatchRow, ClosedItem, OpenItem};
 use futures::future::ready;
@@ -136,10 +137,13 @@ impl Run {
         let wanted = stream::iter(items).take_while(|_| ready(asking.load(Relaxed)));
         let (service, caller, budget) = (self.service.clone(), caller.clone(), self.budget.clone());
         // Tasks of their own: while something is written here they go on, and do not sit on what it waits for.
-        let task = |item| {
+        let task = |item: OpenItem| {
             let (service, caller, budget) = (service.clone(), caller.clone(), budget.clone());
+            let number = item.item;
             let asked = async move { service.ask_item(item, &caller, budget.as_ref()).await };
-            AbortOnDropHandle::new(tokio::spawn(asked.in_current_span()))
+            let asked = AbortOnDropHandle::new(tokio::spawn(asked.in_current_span()));
+            // A question that panics fails, not its batch.
+            async move { asked.await.unwrap_or_else(|panic| Ok(failed(number, &panic.into()))) }
         };
         let width = self.batch.concurrency.unwrap_or(super::CONCURRENCY) as usize;
         let mut ends = pin!(wanted.map(task).buffer_unordered(width));
@@ -160,7 +164,7 @@ impl Run {
                     }
                 }
             };
-            match end.map(|end| end.map_err(Error::from).flatten()) {
+            match end {
                 None => break,
                 Some(Ok(End::Closed(item))) => closed.push(item),
                 Some(Ok(End::OverBudget)) => money = Money::Spent,
@@ -192,7 +196,8 @@ impl Run {
             self.service.metrics.questions.item(&item.status);
             self.done += 1;
         }
-        self.is_wanted().await
+        // A key that is refused by now is found so before the next items.
+        Ok(self.service.keys.caller_of(self.batch.key_id.as_deref()).is_ok() && self.is_wanted().await?)
     }
 
     /// Whether nobody has paused, cancelled or removed it.
@@ -218,17 +223,13 @@ impl Service {
             let Kept { status, usage } = serde_json::from_str(&kept.body)?;
             return Ok(End::Closed(ClosedItem { item, status, cost_usd: usage.cost_usd, error: None }));
         }
-        let failed = |error: &Error| {
-            let error = Some((error.code().to_owned(), error.to_string()));
-            End::Closed(ClosedItem { item, status: "failed".into(), cost_usd: 0.0, error })
-        };
         let request: GroundRequest = match super::submission::question_of(&request) {
             // What can not be paid for waits; it is not answered by something else.
             Ok(request) if budget.is_some() && self.vlm.is_some() && request.reasoner == ReasonerChoice::Auto => {
                 GroundRequest { reasoner: ReasonerChoice::Vlm, ..request }
             }
             Ok(request) => request,
-            Err(error) => return Ok(failed(&error)),
+            Err(error) => return Ok(failed(item, &error)),
         };
         let (mut tries, mut wait) = (0, FIRST_WAIT);
         loop {
@@ -240,16 +241,23 @@ impl Service {
                     return Ok(End::Closed(ClosedItem { item, status, cost_usd: answer.usage.cost_usd, error: None }));
                 }
                 Err(Error::Overloaded) => sleep(STEP_ASIDE).await,
-                Err(Error::OverBudget(OverBudget { of: THIS_BATCH, .. })) => return Ok(End::OverBudget),
-                Err(error @ (Error::Store(_) | Error::Io(_))) => return Err(error),
+                // The batch's own money, its key's or the server's of today: it waits. What the question itself may cost will not grow.
+                Err(Error::OverBudget(OverBudget { of, .. })) if of != OF_QUESTION => return Ok(End::OverBudget),
+                // Nothing of this kind can be asked now: the batch is put off, and no item fails for it.
+                Err(error @ (Error::Store(_) | Error::Io(_) | Error::VlmDown { .. })) => return Err(error),
                 Err(error) if error.may_pass() && tries + 1 < TRIES => {
                     sleep(wait).await;
                     (tries, wait) = (tries + 1, wait * 2);
                 }
-                Err(error) => return Ok(failed(&error)),
+                Err(error) => return Ok(failed(item, &error)),
             }
         }
     }
+}
+
+fn failed(item: u32, error: &Error) -> End {
+    let error = Some((error.code().to_owned(), error.to_string()));
+    End::Closed(ClosedItem { item, status: "failed".into(), cost_usd: 0.0, error })
 }
 
 /// Whose budget it is, in messages.

@@ -10,8 +10,8 @@ pub use submission::{Body, Submission};
 
 use super::Service;
 use crate::error::Error;
-use crate::jobs::JobsError;
-use crate::store::BatchRow;
+use crate::jobs::{JobKind, JobsError};
+use crate::store::{BatchRow, NewJob, Resumed};
 use job::Payload;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -84,19 +84,14 @@ impl Service {
     /// As [`pause_batch`](Self::pause_batch); a full queue.
     pub async fn resume_batch(&self, id: &str) -> Result<Batch, Error> {
         let row = self.batch_row(id).await?;
-        let working = match &row.job_id {
-            Some(job) => !self.jobs.get(job).await?.state.is_final(),
-            None => false,
-        };
-        let resumed = self.move_batch(id, &["running", "paused"], "running").await?;
-        if working {
-            return Ok(resumed);
+        self.jobs.check_room::<BatchJob>().await?;
+        let payload = serde_json::to_string(&Payload { batch_id: id.to_owned() })?;
+        let job = NewJob { kind: BatchJob::NAME, payload: &payload, key_id: row.key_id.as_deref(), done: None };
+        match self.store.resume_batch(id, &job).await? {
+            Resumed::By(job) => drop(self.jobs.recorded::<BatchJob>(*job)),
+            Resumed::GoesOn => {}
+            Resumed::Over => return Err(Error::BatchOver { id: id.into(), state: row.state }),
         }
-        let job = self
-            .jobs
-            .submit::<BatchJob>(id, &Payload { batch_id: id.to_owned() }, row.key_id.as_deref())
-            .await?;
-        self.store.set_batch_job(id, &job.id).await?;
         self.batch(id).await
     }
 

@@ -5,7 +5,7 @@ use crate::error::Error;
 use crate::store::now;
 use uniground_types::keys::{AuditEntry, AuditList};
 
-/// A request that was answered.
+/// A request that is under way, and what came of it.
 #[derive(Debug, Clone)]
 pub struct Done {
     pub method: String,
@@ -14,12 +14,50 @@ pub struct Done {
     pub request_id: Option<String>,
 }
 
+/// The status of a request whose caller left before the answer: what it did is done.
+const LEFT: u16 = 499;
+
+/// A request that is written down however it ends: answered, or because whoever asked left, or because the handler panicked.
+pub struct Noting {
+    keys: Keyring,
+    open: Option<(Caller, Done)>,
+}
+
+impl Noting {
+    /// It was answered. Whoever asked waits until that is written down.
+    pub async fn answered(mut self, status: u16) {
+        if let Some((caller, done)) = self.open.take() {
+            let keys = self.keys.clone();
+            // A task of its own: nor does leaving now keep it from being written.
+            let noted = tokio::spawn(async move { keys.note(&caller, Done { status, ..done }).await });
+            if let Err(panic) = noted.await {
+                tracing::error!(error = &panic as &dyn std::error::Error, "what was done could not be written down");
+            }
+        }
+    }
+}
+
+impl Drop for Noting {
+    fn drop(&mut self) {
+        if let Some((caller, done)) = self.open.take() {
+            let keys = self.keys.clone();
+            tokio::spawn(async move { keys.note(&caller, Done { status: LEFT, ..done }).await });
+        }
+    }
+}
+
 /// No path of ours is longer.
 const MAX_PATH_CHARS: usize = 300;
 
 impl Keyring {
+    /// Begins to write down what somebody does.
+    #[must_use]
+    pub fn noting(&self, caller: Caller, done: Done) -> Noting {
+        Noting { keys: self.clone(), open: Some((caller, done)) }
+    }
+
     /// Writes down what somebody did. That it can not be written is for the log: it was done all the same.
-    pub async fn note(&self, caller: &Caller, done: Done) {
+    async fn note(&self, caller: &Caller, done: Done) {
         let Done { method, path, status, request_id } = done;
         let path = path.chars().take(MAX_PATH_CHARS).collect();
         let key_id = caller.key_id().map(str::to_owned);

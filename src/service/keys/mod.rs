@@ -162,14 +162,17 @@ impl Keyring {
         }
         let presented = presented.ok_or(Denied::NoKey)?;
         let hash = hash_of(presented);
-        if self.own.as_ref().is_some_and(|own| equal(own, &hash)) {
-            return Ok(Caller::operator());
-        }
+        // First, also where it is the server's own key as well: its limits hold, and it can be revoked.
         let found = presented.get(..PREFIX_CHARS).and_then(|prefix| self.by_prefix(prefix));
-        let key = found.filter(|key| equal(&key.row.hash, &hash)).ok_or(Denied::UnknownKey)?;
-        match key.refusal(Timestamp::now()) {
-            Some(denied) => Err(denied),
-            None => Ok(Caller { scope: key.row.scope, key: Some(key) }),
+        if let Some(key) = found.filter(|key| equal(&key.row.hash, &hash)) {
+            return match key.refusal(Timestamp::now()) {
+                Some(denied) => Err(denied),
+                None => Ok(Caller { scope: key.row.scope, key: Some(key) }),
+            };
+        }
+        match self.own.as_ref().is_some_and(|own| equal(own, &hash)) {
+            true => Ok(Caller::operator()),
+            false => Err(Denied::UnknownKey),
         }
     }
 
@@ -228,10 +231,11 @@ impl Keyring {
             last_used_at: None,
             revoked_at: None,
         };
-        self.store.insert_key(&row).await?;
-        let key = self.present(row.clone()).await?;
-        self.put(row);
-        Ok(CreatedKey { key, secret })
+        // A task of its own: whoever asked may leave, and what is stored is known here all the same.
+        let (keys, new) = (self.clone(), row.clone());
+        let inserted = tokio::spawn(async move { keys.store.insert_key(&new).await.inspect(|()| keys.put(new)) });
+        inserted.await??;
+        Ok(CreatedKey { key: told(row, 0.0), secret })
     }
 
     /// Keys, newest first.
@@ -255,8 +259,12 @@ impl Keyring {
     /// # Errors
     /// [`Error::KeyNotFound`].
     pub async fn revoke(&self, id: &str) -> Result<Key, Error> {
-        let row = self.store.revoke_key(id).await?.ok_or_else(|| Error::KeyNotFound { id: id.into() })?;
-        self.put(row.clone());
+        let (keys, key_id) = (self.clone(), id.to_owned());
+        let revoked =
+            tokio::spawn(
+                async move { keys.store.revoke_key(&key_id).await.inspect(|row| row.iter().for_each(|row| keys.put(row.clone()))) },
+            );
+        let row = revoked.await??.ok_or_else(|| Error::KeyNotFound { id: id.into() })?;
         self.present(row).await
     }
 
@@ -269,22 +277,27 @@ impl Keyring {
 
     async fn present(&self, row: KeyRow) -> Result<Key, Error> {
         let spent_today_usd = self.store.spent_by_key(&row.id, &now()[..10]).await?;
-        let KeyRow { id, name, prefix, hash: _, scope, expires_at, requests_per_minute, max_scenes, daily_usd, .. } = row;
-        let KeyRow { created_at, last_used_at, revoked_at, .. } = row;
-        Ok(Key {
-            id,
-            name,
-            prefix,
-            scope,
-            expires_at,
-            requests_per_minute,
-            max_scenes,
-            daily_usd,
-            spent_today_usd,
-            created_at,
-            last_used_at,
-            revoked_at,
-        })
+        Ok(told(row, spent_today_usd))
+    }
+}
+
+/// A key as admins see it.
+fn told(row: KeyRow, spent_today_usd: f64) -> Key {
+    let KeyRow { id, name, prefix, hash: _, scope, expires_at, requests_per_minute, max_scenes, daily_usd, .. } = row;
+    let KeyRow { created_at, last_used_at, revoked_at, .. } = row;
+    Key {
+        id,
+        name,
+        prefix,
+        scope,
+        expires_at,
+        requests_per_minute,
+        max_scenes,
+        daily_usd,
+        spent_today_usd,
+        created_at,
+        last_used_at,
+        revoked_at,
     }
 }
 
@@ -356,7 +369,10 @@ mod tests {
         keys.revoke(&key.id).await.unwrap();
         assert_eq!(keys.caller(Some(&secret)).unwrap_err(), Denied::Revoked);
         assert_eq!(keys.caller(None).unwrap_err(), Denied::NoKey, "the last key locks the door");
-        drop(keys);
+        // Not even as the server's own.
+        let both = Keyring::open(keys.store.clone(), Some(&secret)).await.unwrap();
+        assert_eq!(both.caller(Some(&secret)).unwrap_err(), Denied::Revoked);
+        drop((keys, both));
         let data = keyring(&folder, Some("ug_the_servers_own")).await;
         assert_eq!(data.caller(Some(&secret)).unwrap_err(), Denied::Revoked, "nor is it known to the next server");
         assert_eq!(data.caller(Some("ug_the_servers_own")).unwrap().scope, Scope::Admin);

@@ -1,6 +1,7 @@
 //! Naming all instances of a parse up front, as a job: questions with cached names then never wait for it.
 
 use super::answers::StoredScene;
+use super::vlm::OF_KEY;
 use super::{Caller, Service, Vlm, job_failure, until_cancelled};
 use crate::error::Error;
 use crate::jobs::{Job, JobContext, JobFailure, JobKind, Retry};
@@ -10,7 +11,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use uniground_core::grounding::pipeline::SceneSource;
 use uniground_core::grounding::vlm::naming;
-use uniground_core::models::chat::Session;
+use uniground_core::models::chat::{OverBudget, Session};
 use uniground_core::scene::{InstanceId, Level};
 use uniground_core::scene_parsing::ParseError;
 
@@ -46,9 +47,19 @@ impl Service {
         if self.vlm.is_none() {
             return Err(Error::VlmNotConfigured);
         }
+        self.check_paid(caller)?;
         let (scene, _) = self.ready_scene(scene_id).await?;
         let payload = Payload { scene_id: scene.id.clone(), key_id: caller.key_id().map(str::to_owned) };
         Ok(self.jobs.submit::<NamingJob>(&scene.id, &payload, caller.key_id()).await?)
+    }
+
+    /// A budget that nothing can be held against pays for nothing.
+    fn check_paid(&self, caller: &Caller) -> Result<(), Error> {
+        let unknown = self.vlm.as_ref().is_some_and(|vlm| !vlm.prices().are_known());
+        match caller.key.as_ref().and_then(|key| key.row.daily_usd).filter(|_| unknown) {
+            Some(limit_usd) => Err(Error::OverBudget(OverBudget { of: OF_KEY, limit_usd, left_usd: 0.0, wanted_usd: 0.0 })),
+            None => Ok(()),
+        }
     }
 
     /// Names the configured model gave to the instances of a parse.
@@ -70,6 +81,7 @@ impl Service {
     async fn run_naming(&self, JobContext { payload, progress, .. }: JobContext<Payload>) -> Result<String, Error> {
         let vlm = self.vlm.clone().ok_or(Error::VlmNotConfigured)?;
         let caller = self.keys.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
+        self.check_paid(&caller)?;
         let (_, parse_id) = self.ready_scene(&payload.scene_id).await?;
         let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         let known = self.names_of(&parse_id).await?;
@@ -82,6 +94,8 @@ impl Service {
         let mut named = 0;
         let sheets: Vec<&[InstanceId]> = unnamed.chunks(naming::PER_SHEET).collect();
         for (number, ids) in sheets.iter().enumerate() {
+            // What is refused by now is not gone on with.
+            self.keys.caller_of(payload.key_id.as_deref()).map_err(|_| Error::KeyRefused)?;
             progress.report("naming", number as f32 / sheets.len() as f32).map_err(ParseError::from)?;
             let names = tokio::select! {
                 names = self.name_sheet(&vlm, &caller, &source, number + 1, ids) => names?,

@@ -1,12 +1,13 @@
 //! Calls of the model, written down before they are made and counted when they end.
 
+use super::circuit::{Circuit, Sign};
 use super::today;
 use crate::metrics::Metrics;
-use crate::store::{Store, now};
+use crate::store::Store;
 use futures::FutureExt;
 use futures::future::BoxFuture;
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
 use tracing::{Instrument, field};
 use uniground_core::models::chat::{ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Prices};
 use uniground_core::models::with_causes;
@@ -16,6 +17,8 @@ const ANSWERED: &str = "answered";
 const REFUSED: &str = "refused";
 const UNREACHABLE: &str = "unreachable";
 const UNREADABLE: &str = "unreadable";
+/// It was taken to be down.
+const NOT_ASKED: &str = "not_asked";
 /// Whoever asked left before there was an answer.
 const ABANDONED: &str = "abandoned";
 
@@ -28,6 +31,20 @@ fn outcome_of(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
             ChatError::Undecodable(_) => UNREADABLE,
             ChatError::NotRecorded(_) | ChatError::ReplayCache(_) => "not_recorded",
             ChatError::NotRecordable(_) => "not_recordable",
+            ChatError::Down { .. } => NOT_ASKED,
+        },
+    }
+}
+
+/// What a call says of the model's server; nothing where it never got there.
+fn sign_of(answered: &Result<ChatReply, ChatFailure>) -> Option<Sign> {
+    match answered {
+        Ok(_) => Some(Sign::Up),
+        Err(ChatFailure { error, .. }) => match error {
+            ChatError::Transport(_) => Some(Sign::Gone),
+            ChatError::Refused { status: 429 | 500..=599, .. } => Some(Sign::Failing),
+            ChatError::Refused { .. } | ChatError::Undecodable(_) => Some(Sign::Unclear),
+            ChatError::NotRecorded(_) | ChatError::ReplayCache(_) | ChatError::NotRecordable(_) | ChatError::Down { .. } => None,
         },
     }
 }
@@ -39,22 +56,15 @@ pub struct Metered {
     model: Arc<dyn ChatModel>,
     store: Store,
     metrics: Arc<Metrics>,
-    condition: Arc<Mutex<Condition>>,
+    circuit: Arc<Circuit>,
     /// Whose calls they are.
     key_id: Option<String>,
 }
 
-/// What became of the latest calls.
-#[derive(Default)]
-struct Condition {
-    /// Calls in a row that the model did not answer, by the last one's outcome, and when the first of them was.
-    failing: Option<(u32, &'static str, String)>,
-}
-
 impl Metered {
     pub fn new(model: Arc<dyn ChatModel>, store: Store, metrics: Arc<Metrics>) -> Self {
-        metrics.vlm.knows(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE]);
-        Self { model, store, metrics, condition: Arc::default(), key_id: None }
+        metrics.vlm.knows(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE, NOT_ASKED]);
+        Self { model, store, metrics, circuit: Arc::default(), key_id: None }
     }
 
     /// The same for somebody: what calls cost is written down for them, too.
@@ -62,12 +72,9 @@ impl Metered {
         Self { key_id: key_id.map(str::to_owned), ..self.clone() }
     }
 
-    /// Whether the model answered when it was asked last; else since when it has not.
-    pub fn condition(&self) -> Result<(), String> {
-        match &self.condition.lock().unwrap_or_else(PoisonError::into_inner).failing {
-            None => Ok(()),
-            Some((calls, outcome, since)) => Err(format!("{outcome} since {since} ({calls} calls)")),
-        }
+    /// Whether its server is there.
+    pub fn circuit(&self) -> &Arc<Circuit> {
+        &self.circuit
     }
 
     async fn ask_paid(&self, request: &ChatRequest) -> Result<ChatReply, ChatFailure> {
@@ -95,15 +102,6 @@ impl Metered {
     fn count(&self, outcome: &'static str, attempts: u32, start: Instant, usd: f64) {
         self.metrics.vlm.called(outcome, attempts, start.elapsed());
         self.metrics.vlm.paid(usd);
-        let mut condition = self.condition.lock().unwrap_or_else(PoisonError::into_inner);
-        match outcome {
-            ANSWERED => condition.failing = None,
-            REFUSED | UNREACHABLE | UNREADABLE => {
-                let (calls, _, since) = condition.failing.take().unwrap_or_else(|| (0, outcome, now()));
-                condition.failing = Some((calls + 1, outcome, since));
-            }
-            _ => {}
-        }
     }
 }
 
@@ -118,6 +116,11 @@ impl ChatModel for Metered {
 
     fn ask<'a>(&'a self, request: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
         async move {
+            if let Err(wait) = self.circuit.admit(Instant::now()) {
+                self.metrics.vlm.called(NOT_ASKED, 0, Duration::ZERO);
+                let error = ChatError::Down { again_in_s: wait.as_secs().max(1) };
+                return Err(ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 });
+            }
             let span = tracing::info_span!("model_call", model = self.name(), outcome = field::Empty, attempts = field::Empty);
             let mut counted = Counted { metered: self, start: Instant::now(), thought_usd: Some(self.prices().thought_usd(request)) };
             let answered = self.ask_paid(request).instrument(span.clone()).await;
@@ -132,6 +135,10 @@ impl ChatModel for Metered {
             let outcome = outcome_of(&answered);
             span.record("outcome", outcome).record("attempts", attempts);
             self.count(outcome, attempts, counted.start, usd);
+            match sign_of(&answered) {
+                Some(sign) => self.circuit.note(sign, outcome, Instant::now()),
+                None => self.circuit.left(),
+            }
             answered
         }
         .boxed()
@@ -150,6 +157,7 @@ impl Drop for Counted<'_> {
     fn drop(&mut self) {
         if let Some(usd) = self.thought_usd {
             self.metered.count(ABANDONED, 1, self.start, usd);
+            self.metered.circuit.left();
         }
     }
 }

@@ -1,5 +1,6 @@
 //! The configured vision-language model, and what may be spent on it.
 
+mod circuit;
 mod metered;
 
 use super::Caller;
@@ -9,6 +10,7 @@ use crate::store::{Store, now};
 use metered::Metered;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use uniground_core::models::chat::{Budget, ChatModel, Prices};
 
@@ -39,6 +41,10 @@ pub struct VlmSettings {
     pub json: bool,
 }
 
+/// Whose budgets there are, in messages.
+pub(super) const OF_QUESTION: &str = "this question";
+pub(super) const OF_KEY: &str = "this key today";
+
 /// Questions that may wait for the model at once.
 const MAX_WAITING: usize = 256;
 
@@ -47,6 +53,11 @@ impl Vlm {
     pub fn new(model: Arc<dyn ChatModel>, settings: VlmSettings, store: Store, metrics: Arc<Metrics>) -> Self {
         let model = Metered::new(model, store.clone(), metrics);
         Self { model, store, settings, places: Arc::new(Semaphore::new(MAX_WAITING)), today: Mutex::default() }
+    }
+
+    /// Its server was looked at and can not be reached: nobody has to find out.
+    pub fn found_gone(&self) {
+        self.model.circuit().note(circuit::Sign::Gone, "unreachable", Instant::now());
     }
 
     pub(super) fn name(&self) -> &str {
@@ -64,7 +75,7 @@ impl Vlm {
 
     /// Whether the model answered when it was asked last; else since when it has not.
     pub(super) fn condition(&self) -> Result<(), String> {
-        self.model.condition()
+        self.model.circuit().condition()
     }
 
     pub(super) fn json(&self) -> bool {
@@ -93,11 +104,11 @@ impl Vlm {
 
     /// What pays for a question: its own budget, where it has one, that of who asks, and the day's.
     pub(super) async fn budgets(&self, caller: &Caller, of_question: Option<f64>) -> Result<Vec<Budget>, Error> {
-        let mut budgets: Vec<Budget> = of_question.map(|usd| Budget::new("this question", usd)).into_iter().collect();
+        let mut budgets: Vec<Budget> = of_question.map(|usd| Budget::new(OF_QUESTION, usd)).into_iter().collect();
         if let Some(key) = &caller.key
             && let Some(usd) = key.row.daily_usd
         {
-            budgets.push(self.budget_of_today(Some(&key.row.id), "this key today", usd).await?);
+            budgets.push(self.budget_of_today(Some(&key.row.id), OF_KEY, usd).await?);
         }
         budgets.push(self.budget_of_everybody().await?);
         Ok(budgets)
@@ -118,7 +129,7 @@ impl Vlm {
         };
         let budget = Budget::new(of, usd).with_spent(spent);
         let mut budgets = self.today.lock().unwrap_or_else(PoisonError::into_inner);
-        budgets.retain(|_, of| of.day == day);
+        budgets.retain(|_, of| of.day >= day);
         // Somebody may have been faster.
         Ok(budgets.entry(who.to_owned()).or_insert(Today { day, budget }).budget.clone())
     }

@@ -92,6 +92,8 @@ pub enum ChatError {
     ReplayCache(#[from] std::io::Error),
     #[error("what the call costs can not be written down: {0}")]
     NotRecordable(String),
+    #[error("the model's server is down and is not asked: it is tried again in {again_in_s} s")]
+    Down { again_in_s: u64 },
 }
 
 /// A question that got no answer, and what was done for it.

@@ -1,0 +1,142 @@
+//! A model whose server is down is not asked for a while: nobody waits for what will not come. Now and then one question tries it.
+
+use jiff::Timestamp;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// What a call says of the model's server.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sign {
+    /// It answered.
+    Up,
+    /// It can not be reached: that is sure at once.
+    Gone,
+    /// It said that it can not answer now: that is sure after a few in a row.
+    Failing,
+    /// It answered, but not to this question: says nothing of others.
+    Unclear,
+}
+
+/// The first wait before it is tried again; each is twice as long.
+const FIRST_WAIT: Duration = Duration::from_secs(5);
+const LONGEST_WAIT: Duration = Duration::from_mins(2);
+/// Calls in a row that failed before a server that can be reached is taken to be down.
+const FAILURES: u32 = 5;
+
+/// Whether a model is asked.
+#[derive(Default)]
+pub struct Circuit(Mutex<State>);
+
+#[derive(Default)]
+struct State {
+    /// Calls in a row that came to nothing, what the last one came to, and when the first of them was.
+    failing: Option<(u32, &'static str, String)>,
+    /// Calls in a row after which it was taken to be down, or might have been.
+    down: u32,
+    open: Option<Open>,
+}
+
+/// Nobody is let through.
+struct Open {
+    until: Instant,
+    wait: Duration,
+    /// Somebody tries it now, since then.
+    trying: Option<Instant>,
+}
+
+/// Who tries and never comes back does not keep others from it for longer.
+const LONGEST_TRY: Duration = Duration::from_mins(10);
+
+impl Circuit {
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Lets a call through, or says how long it is before one may try.
+    ///
+    /// # Errors
+    /// How long.
+    pub fn admit(&self, now: Instant) -> Result<(), Duration> {
+        let mut state = self.state();
+        let Some(open) = &mut state.open else { return Ok(()) };
+        if now < open.until {
+            return Err(open.until - now);
+        }
+        if open.trying.is_some_and(|since| now.duration_since(since) < LONGEST_TRY) {
+            return Err(FIRST_WAIT);
+        }
+        open.trying = Some(now);
+        Ok(())
+    }
+
+    /// Notes what came of a call, in a word.
+    pub fn note(&self, sign: Sign, word: &'static str, now: Instant) {
+        let mut state = self.state();
+        if sign == Sign::Up {
+            *state = State::default();
+            return;
+        }
+        let (calls, _, since) = state.failing.take().unwrap_or_else(|| (0, word, Timestamp::now().to_string()));
+        state.failing = Some((calls + 1, word, since));
+        state.down = match sign {
+            Sign::Gone | Sign::Failing => state.down + 1,
+            // It is there.
+            Sign::Up | Sign::Unclear => 0,
+        };
+        let is_down = sign == Sign::Gone || state.down >= FAILURES;
+        let wait = state.open.as_ref().map_or(FIRST_WAIT, |open| (open.wait * 2).min(LONGEST_WAIT));
+        state.open = is_down.then(|| Open { until: now + wait, wait, trying: None });
+    }
+
+    /// Somebody who tried it left before there was an answer: the next one may.
+    pub fn left(&self) {
+        if let Some(open) = &mut self.state().open {
+            open.trying = None;
+        }
+    }
+
+    /// Whether the model answered when it was asked last; else since when it has not.
+    pub fn condition(&self) -> Result<(), String> {
+        match &self.state().failing {
+            None => Ok(()),
+            Some((calls, word, since)) => Err(format!("{word} since {since} ({calls} calls)")),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_server_that_is_gone_is_tried_now_and_then_by_one_at_a_time() {
+        let (circuit, start) = (Circuit::default(), Instant::now());
+        let after = |seconds| start + Duration::from_secs(seconds);
+        assert!(circuit.admit(start).is_ok() && circuit.condition().is_ok());
+        circuit.note(Sign::Gone, "unreachable", start);
+        assert_eq!(circuit.admit(after(1)), Err(Duration::from_secs(4)));
+        assert!(circuit.condition().unwrap_err().starts_with("unreachable since"));
+        assert!(circuit.admit(after(5)).is_ok(), "one tries it");
+        assert!(circuit.admit(after(5)).is_err(), "and nobody beside");
+        circuit.note(Sign::Gone, "unreachable", after(6));
+        assert_eq!(circuit.admit(after(6)), Err(Duration::from_secs(10)));
+        assert!(circuit.admit(after(16)).is_ok());
+        circuit.left();
+        assert!(circuit.admit(after(16)).is_ok(), "who tried it left");
+        circuit.note(Sign::Up, "answered", after(17));
+        assert!(circuit.admit(after(17)).is_ok() && circuit.admit(after(17)).is_ok() && circuit.condition().is_ok());
+    }
+
+    #[test]
+    fn some_failures_are_none_and_a_question_that_is_refused_closes_nothing() {
+        let (circuit, now) = (Circuit::default(), Instant::now());
+        let failing = |calls: u32| (0..calls).for_each(|_| circuit.note(Sign::Failing, "refused", now));
+        failing(FAILURES - 1);
+        circuit.note(Sign::Unclear, "refused", now);
+        failing(FAILURES - 1);
+        assert!(circuit.admit(now).is_ok(), "not in a row");
+        failing(1);
+        assert!(circuit.admit(now).is_err());
+        assert!(circuit.condition().unwrap_err().contains("10 calls"));
+    }
+}
