@@ -90,15 +90,21 @@ impl Jobs {
                 let detail = format!("what this job was asked to do can not be read: {error}");
                 tracing::error!(%error, "a job's payload can not be read");
                 self.metrics.jobs.finished(K::NAME, JobState::Failed.word(), None);
-                return self.store.finish_job(&id, JobState::Failed, None, Some(("internal", &detail))).await;
+                return self.record(&id, &End::Failed { code: "internal".into(), detail }, shutdown).await;
             }
         };
         let running = Running { pulse: Arc::default(), cancel: shutdown.child_token(), row: job.into() };
         self.running().insert(id.clone(), running.clone());
         // From here on a wish to stop finds the token; what was wished before stands in the row.
-        let unwanted = self.store.is_cancel_requested(&id).await;
-        if unwanted.inspect_err(|_| drop(self.running().remove(&id)))? {
-            running.cancel.cancel();
+        match self.store.is_cancel_requested(&id).await {
+            Ok(false) => {}
+            Ok(true) => running.cancel.cancel(),
+            // It goes back as it came, as soon as the store takes it.
+            Err(error) => {
+                tracing::error!(error = &error as &dyn std::error::Error, "a job can not be begun yet");
+                self.running().remove(&id);
+                return self.record(&id, &End::PutBack, shutdown).await;
+            }
         }
         let (beating, cancel) = (running.clone(), running.cancel.clone());
         let progress = Progress::new(move |stage, progress| beating.beat(Pulse { stage, progress }), move || cancel.is_cancelled());

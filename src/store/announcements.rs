@@ -5,12 +5,13 @@ use super::{Store, StoreError, now};
 use std::time::Duration;
 
 impl Store {
-    /// Ends that are due to be told, the longest waiting first: id of the job, and how often it was tried.
+    /// Ends that are due to be told, those that were never tried first: id of the job, and how often it was tried.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn due_announcements(&self, limit: u32) -> Result<Vec<(String, u32)>, StoreError> {
-        let sql = "SELECT job_id, attempts FROM announcements WHERE not_before IS NULL OR not_before <= ? ORDER BY job_id LIMIT ?";
+        let sql = "SELECT job_id, attempts FROM announcements WHERE not_before IS NULL OR not_before <= ?
+                   ORDER BY coalesce(not_before, ''), job_id LIMIT ?";
         Ok(sqlx::query_as(sql).bind(now()).bind(limit).fetch_all(&self.reader).await?)
     }
 
