@@ -69,7 +69,7 @@ impl From<Error> for Refused {
         // The only line about it: route and request id are those of the request's span.
         match status {
             StatusCode::BAD_GATEWAY | StatusCode::GATEWAY_TIMEOUT | StatusCode::SERVICE_UNAVAILABLE => {
-                tracing::warn!(code, cause = with_causes(&error), "request failed")
+                tracing::warn!(code, cause = with_causes(&error), "request failed");
             }
             _ if status.is_server_error() => tracing::error!(code, cause = with_causes(&error), "request failed"),
             _ => tracing::debug!(code, cause = with_causes(&error), "request refused"),
