@@ -68,9 +68,9 @@ impl From<Error> for Refused {
         let (code, status) = (error.code(), status_of(&error));
         // The only line about it: route and request id are those of the request's span.
         match status {
-            StatusCode::BAD_GATEWAY | StatusCode::GATEWAY_TIMEOUT | StatusCode::SERVICE_UNAVAILABLE => {
-                tracing::warn!(code, cause = with_causes(&error), "request failed");
-            }
+            StatusCode::BAD_GATEWAY | StatusCode::GATEWAY_TIMEOUT => tracing::warn!(code, cause = with_causes(&error), "request failed"),
+            // Told when it was found to be down.
+            _ if matches!(error, Error::VlmDown { .. }) => tracing::debug!(code, "request failed"),
             _ if status.is_server_error() => tracing::error!(code, cause = with_causes(&error), "request failed"),
             _ => tracing::debug!(code, cause = with_causes(&error), "request refused"),
         }

@@ -399,7 +399,9 @@ async fn traces_are_taken_up_handed_on_and_sent() {
                 .iter()
                 .all(|(_, parent, _)| parent.as_ref().is_some_and(|parent| parent.starts_with(&format!("00-{TRACE}-"))))
     );
-    assert!(!traces.is_empty() && traces.iter().all(|(path, ..)| path == "/v1/traces"));
+    // The endpoint was looked for when the server started, for nobody's question.
+    let (traces, looks): (Vec<_>, Vec<_>) = traces.into_iter().partition(|(path, ..)| path == "/v1/traces");
+    assert!(!traces.is_empty() && looks.iter().all(|(path, parent, _)| path == "/v1/models" && parent.is_none()));
     let bodies: Vec<u8> = traces.iter().flat_map(|(.., body)| body.clone()).collect();
     let has = |what: &[u8]| bodies.windows(what.len()).any(|window| window == what);
     let trace: Vec<u8> = (0..16).map(|i| u8::from_str_radix(&TRACE[2 * i..2 * i + 2], 16).unwrap()).collect();

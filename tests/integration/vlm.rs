@@ -320,10 +320,12 @@ async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
     assert!(error.detail.contains("timed out") && error.detail.contains("in 2 attempts"), "{}", error.detail);
     down(&server, &scene).await;
     server.stop().await;
-    // Nobody there; somebody who does not speak TLS: known before anybody asks.
+    // Nobody there; somebody who does not speak TLS.
     let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
     for url in [format!("http://127.0.0.1:{port}/v1"), url.replace("http://", "https://")] {
         let (server, scene) = start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
+        // Where the look at the start is some seconds ago, the first question tries it.
+        assert!(server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
         down(&server, &scene).await;
         server.stop().await;
     }
