@@ -13,7 +13,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use uniground::app;
 use uniground::config::{
-    AccessConfig, BundlesConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, RuntimeConfig, ServeConfig, VlmConfig,
+    AccessConfig, BundlesConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, RuntimeConfig, ServeConfig, VlmConfig, WebhookConfig,
 };
 use uniground_client::Client;
 use uniground_core::grounding::album::{Album, AlbumScene};
@@ -246,6 +246,7 @@ impl Server {
             access: AccessConfig::default(),
             models,
             vlm: VlmConfig { vlm_url: Some(url), vlm_model: Some("instant".into()), ..VlmConfig::default() },
+            webhook: WebhookConfig::default(),
             limits: LimitsConfig::default(),
             log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
         };
