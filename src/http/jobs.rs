@@ -120,9 +120,10 @@ pub async fn events(
     Path(job_id): Path<String>,
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Refused> {
-    app.service.jobs.get(&job_id).await.map_err(Error::from)?;
+    // First: who is turned away costs nothing.
     let place = app.event_streams.clone().try_acquire_owned();
     let place = place.map_err(|_| Error::TooMany { what: "event streams", most: MAX_EVENT_STREAMS })?;
+    app.service.jobs.get(&job_id).await.map_err(Error::from)?;
     let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()).map(str::to_owned);
     let stream = stream::unfold(Some(seen), move |state| {
         // The place is the stream's: free when it ends.

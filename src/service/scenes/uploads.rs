@@ -92,6 +92,9 @@ impl Service {
         body: impl Stream<Item = Result<Bytes, E>> + Unpin,
         caller: &Caller,
     ) -> Result<(Scene, Option<Job>), Error> {
+        // First: who is turned away costs nothing.
+        let place = self.uploads.clone().try_acquire_owned();
+        let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
         let NewScene { name, kind, parse, idempotency_key, announced_bytes } = new;
         let idempotency_key = idempotency_key.map(|key| caller.own(key));
         if let Some(name) = &name {
@@ -108,14 +111,8 @@ impl Service {
                 self.jobs.check_room::<ParseJob>().await?;
             }
         }
-        let received = {
-            let _place = self
-                .uploads
-                .clone()
-                .try_acquire_owned()
-                .map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
-            Arc::new(self.receive(body).await?)
-        };
+        let received = Arc::new(self.receive(body).await?);
+        drop(place);
         let request = request_of(&received.hash, name.as_deref(), parse.as_ref())?;
         if let Some((scene, before)) = made_before {
             // Servers of before requests were noted believed the key.
