@@ -2,7 +2,7 @@
 
 use super::{Job, JobKind, JobList, job_of};
 use crate::metrics::Metrics;
-use crate::store::{JobFilter, JobRow, JobState, NewJob, Store, StoreError};
+use crate::store::{JobFilter, JobRow, JobState, NewJob, Store, StoreError, page};
 use jiff::Timestamp;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -163,10 +163,7 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::Store`].
     pub async fn list(&self, filter: &JobFilter, limit: u32, cursor: Option<&str>) -> Result<JobList, JobsError> {
-        let mut rows = self.store.jobs(filter, limit + 1, cursor).await?;
-        let more = rows.len() > limit as usize;
-        rows.truncate(limit as usize);
-        let next_cursor = rows.last().filter(|_| more).map(|row| row.id.clone());
+        let (rows, next_cursor) = page(self.store.jobs(filter, limit + 1, cursor).await?, limit, |row| &row.id);
         Ok(JobList { jobs: rows.into_iter().map(|row| self.as_it_stands(row)).collect(), next_cursor })
     }
 

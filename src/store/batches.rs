@@ -314,7 +314,7 @@ impl Store {
             return Ok(Resumed::Over);
         }
         let works = "SELECT count(*) FROM jobs JOIN batches ON jobs.id = job_id
-                     WHERE batches.id = ? AND jobs.state IN ('queued', 'running') AND NOT cancel_requested";
+                     WHERE batches.id = ? AND jobs.state IN ('queued', 'running')";
         let works: u32 = sqlx::query_scalar(works).bind(id).fetch_one(&mut *tx).await?;
         if works > 0 {
             tx.commit().await?;

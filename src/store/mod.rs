@@ -260,6 +260,15 @@ fn migrations() -> Migrator {
     Migrator::with_migrations(MIGRATIONS.iter().map(migration).collect())
 }
 
+/// Rows of a page of which one more was asked for than it has, and the id to go on after, where there is more.
+#[must_use]
+pub fn page<T>(mut rows: Vec<T>, limit: u32, id: impl Fn(&T) -> &str) -> (Vec<T>, Option<String>) {
+    let more = rows.len() > limit as usize;
+    rows.truncate(limit as usize);
+    let next_cursor = rows.last().filter(|_| more).map(|row| id(row).to_owned());
+    (rows, next_cursor)
+}
+
 /// The time now, as stored.
 pub(crate) fn now() -> String {
     Timestamp::now().to_string()

@@ -61,6 +61,36 @@ async fn the_first_key_opens_a_server_to_the_network() {
     assert!(listed.contains("boss") && listed.contains("revoked"), "{listed}");
 }
 
+/// Where anybody may ask, a stranger would lock everybody else out; on one's own machine there are none, and any name will do from then on.
+#[tokio::test]
+async fn a_stranger_does_not_make_the_first_key() {
+    let data = tempfile::tempdir().unwrap();
+    let mut open = command(Utf8Path::from_path(data.path()).unwrap(), "0.0.0.0:0");
+    let process = Process::started(open.arg("--allow-anybody"));
+    let url = process
+        .client
+        .request(Method::GET, "")
+        .build()
+        .unwrap()
+        .url()
+        .to_string()
+        .replace("0.0.0.0", "127.0.0.1");
+    let stranger = Client::new(&url, None).unwrap();
+    assert_eq!(problem(stranger.create_key(&wanted("mine", Scope::Admin)).await).code, "first_key_by_hand");
+    assert!(stranger.scenes(1, None).await.is_ok(), "and nobody is locked out");
+    assert_eq!(process.terminate(), Some(0));
+
+    let server = TestServer::start().await;
+    let named = async |client: &Client| {
+        let request = client.request(Method::GET, "v1/scenes").header("host", "robot.example");
+        request.send().await.unwrap().status().as_u16()
+    };
+    assert_eq!(named(&server.client).await, 421);
+    let (admin, _) = holder(&server.client, &server.url(), wanted("admin", Scope::Admin)).await;
+    assert_eq!((named(&server.client).await, named(&admin).await), (401, 200));
+    server.stop().await;
+}
+
 /// Every route wants the scope its description names, and nothing that changes anything is open to readers.
 #[tokio::test(flavor = "multi_thread")]
 async fn every_route_refuses_the_under_scoped() {

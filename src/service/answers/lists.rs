@@ -3,7 +3,7 @@
 use super::table;
 use crate::error::Error;
 use crate::service::Service;
-use crate::store::{AnswerFilter, AnswerRow};
+use crate::store::{AnswerFilter, AnswerRow, page};
 use bytes::Bytes;
 use futures::{Stream, StreamExt, stream};
 use serde::Deserialize;
@@ -29,10 +29,7 @@ impl Service {
     /// # Errors
     /// [`Error::Store`].
     pub async fn answers(&self, filter: &AnswerFilter, limit: u32, cursor: Option<&str>) -> Result<String, Error> {
-        let mut rows = self.store.answers(filter, limit + 1, cursor).await?;
-        let more = rows.len() > limit as usize;
-        rows.truncate(limit as usize);
-        let next = rows.last().filter(|_| more).map(|row| row.id.as_str());
+        let (rows, next) = page(self.store.answers(filter, limit + 1, cursor).await?, limit, |row| &row.id);
         let answers: Vec<&str> = rows.iter().map(|row| row.body.as_str()).collect();
         Ok(format!("{{\"answers\":[{}],\"next_cursor\":{}}}", answers.join(","), serde_json::to_string(&next)?))
     }

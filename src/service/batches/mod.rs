@@ -11,7 +11,7 @@ pub use submission::{Body, Submission};
 use super::Service;
 use crate::error::Error;
 use crate::jobs::{JobKind, JobsError};
-use crate::store::{BatchRow, NewJob, Resumed};
+use crate::store::{BatchRow, NewJob, Resumed, page};
 use job::Payload;
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -51,10 +51,7 @@ impl Service {
     /// # Errors
     /// [`Error::Store`].
     pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<BatchList, Error> {
-        let mut rows = self.store.batches(limit + 1, cursor).await?;
-        let more = rows.len() > limit as usize;
-        rows.truncate(limit as usize);
-        let next_cursor = rows.last().filter(|_| more).map(|row| row.id.clone());
+        let (rows, next_cursor) = page(self.store.batches(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut batches = Vec::with_capacity(rows.len());
         for row in rows {
             batches.push(self.present_batch(row).await?);

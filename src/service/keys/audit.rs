@@ -2,7 +2,7 @@
 
 use super::{Caller, Keyring};
 use crate::error::Error;
-use crate::store::now;
+use crate::store::{now, page};
 use uniground_types::keys::{AuditEntry, AuditList};
 
 /// A request that is under way, and what came of it.
@@ -72,10 +72,36 @@ impl Keyring {
     /// # Errors
     /// [`Error::Store`].
     pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<AuditList, Error> {
-        let mut entries = self.store.audit(limit + 1, cursor).await?;
-        let more = entries.len() > limit as usize;
-        entries.truncate(limit as usize);
-        let next_cursor = entries.last().filter(|_| more).map(|entry| entry.id.clone());
+        let (entries, next_cursor) = page(self.store.audit(limit + 1, cursor).await?, limit, |entry| &entry.id);
         Ok(AuditList { entries, next_cursor })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::store::Store;
+    use camino::Utf8Path;
+    use std::time::Duration;
+    use tokio::time::sleep;
+
+    #[tokio::test]
+    async fn what_somebody_did_who_left_is_written_down_all_the_same() {
+        let folder = tempfile::tempdir().unwrap();
+        let store = Store::open(Utf8Path::from_path(folder.path()).unwrap()).await.unwrap();
+        let keys = Keyring::open(store, None).await.unwrap();
+        let done = |path: &str| Done { method: "DELETE".into(), path: path.into(), status: 0, request_id: None };
+        keys.noting(Caller::operator(), done("/answered")).answered(204).await;
+        drop(keys.noting(Caller::operator(), done("/left")));
+        let mut told = Vec::new();
+        for _ in 0..200 {
+            told = keys.audit(10, None).await.unwrap().entries;
+            if told.len() == 2 {
+                break;
+            }
+            sleep(Duration::from_millis(5)).await;
+        }
+        let told: Vec<(&str, u16)> = told.iter().map(|entry| (entry.path.as_str(), entry.status)).collect();
+        assert_eq!(told, [("/left", LEFT), ("/answered", 204)]);
     }
 }

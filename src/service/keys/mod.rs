@@ -8,7 +8,7 @@ mod audit;
 pub use audit::Done;
 
 use crate::error::Error;
-use crate::store::{KeyRow, Store, now};
+use crate::store::{KeyRow, Store, now, page};
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use governor::clock::{Clock, DefaultClock};
@@ -243,10 +243,7 @@ impl Keyring {
     /// # Errors
     /// [`Error::Store`].
     pub async fn list(&self, limit: u32, cursor: Option<&str>) -> Result<KeyList, Error> {
-        let mut rows = self.store.keys(limit + 1, cursor).await?;
-        let more = rows.len() > limit as usize;
-        rows.truncate(limit as usize);
-        let next_cursor = rows.last().filter(|_| more).map(|row| row.id.clone());
+        let (rows, next_cursor) = page(self.store.keys(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut keys = Vec::with_capacity(rows.len());
         for row in rows {
             keys.push(self.present(row).await?);

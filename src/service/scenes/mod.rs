@@ -7,7 +7,7 @@ pub use uploads::NewScene;
 use super::Service;
 use crate::error::Error;
 use crate::jobs::Job;
-use crate::store::{JobState, ParseRecord, SceneRow, Scratch};
+use crate::store::{JobState, ParseRecord, SceneRow, Scratch, page};
 use tokio::task::spawn_blocking;
 use uniground_types::scenes::{Scene, SceneCounts, SceneList, SceneStatus};
 use uploads::check_name;
@@ -24,10 +24,7 @@ impl Service {
     /// # Errors
     /// [`Error::Store`].
     pub async fn scenes(&self, limit: u32, cursor: Option<&str>) -> Result<SceneList, Error> {
-        let mut rows = self.store.scenes(limit + 1, cursor).await?;
-        let more = rows.len() > limit as usize;
-        rows.truncate(limit as usize);
-        let next_cursor = rows.last().filter(|_| more).map(|row| row.id.clone());
+        let (rows, next_cursor) = page(self.store.scenes(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut scenes = Vec::with_capacity(rows.len());
         for row in rows {
             scenes.push(self.present(row).await?);

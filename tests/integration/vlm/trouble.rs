@@ -1,0 +1,112 @@
+//! A model that can not be asked, is down, or takes longer than anybody waits.
+
+use super::{QUERY, builtin, by, config, corrections, six_lines, start};
+use crate::script::{Script, Scripted, fails, says};
+use crate::server::{TestServer, ask, problem};
+use serde_json::json;
+use std::time::Duration;
+use uniground::config::VlmConfig;
+use uniground_types::question::{GroundRequest, ReasonerChoice};
+
+/// A model whose server is down costs nobody time.
+async fn down(server: &TestServer, scene: &str) {
+    let asked_at = std::time::Instant::now();
+    let error = problem(server.client.ground(scene, &by(ReasonerChoice::Vlm)).await);
+    assert_eq!((error.status, error.code.as_str()), (503, "vlm_down"), "{}", error.detail);
+    assert!(error.retry_after_s.is_some_and(|wait| (1..=10).contains(&wait)), "{error:?}");
+    let answer = server.client.ground(scene, &ask(QUERY)).await.unwrap();
+    assert!(answer.degraded && corrections(&answer).contains("is down"), "{}", corrections(&answer));
+    assert!(asked_at.elapsed() < Duration::from_secs(1), "{:?}", asked_at.elapsed());
+}
+
+/// Who gave a time gets an answer by then, from whoever can give one.
+#[tokio::test(flavor = "multi_thread")]
+async fn at_the_deadline_there_is_the_built_in_answer() {
+    let script = Script::default();
+    let url = script.serve(vec![Scripted::Stall]).await;
+    let (server, scene) = start(config(&url)).await;
+    let plain = builtin(&server, &scene).await;
+    let hurried = |reasoner| GroundRequest { timeout_s: Some(0.5), ..by(reasoner) };
+    let answer = server.client.ground(&scene, &hurried(ReasonerChoice::Auto)).await.unwrap();
+    assert!(answer.degraded && answer.answer == plain.answer, "{answer:?}");
+    assert!(corrections(&answer).contains("did not answer within 0.5 s"), "{}", corrections(&answer));
+    let error = problem(server.client.ground(&scene, &hurried(ReasonerChoice::Vlm)).await);
+    assert_eq!((error.status, error.code.as_str()), (504, "question_timed_out"));
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_model_that_can_not_be_asked_is_told_or_replaced() {
+    let script = Script::default();
+    let url = script.serve(vec![says("-")]).await;
+    let (server, scene) = start(config(&url)).await;
+    let plain = builtin(&server, &scene).await;
+    // What happens, how often it is tried, and what is told.
+    for (answers, attempts, told) in [
+        (vec![fails(401, "bad key")], 1, "401 Unauthorized: bad key"),
+        (vec![fails(404, "no such model")], 1, "no such model"),
+        (vec![fails(500, "oops")], 5, "500 Internal Server Error: oops"),
+        (vec![Scripted::After(429, "0")], 5, "429"),
+        (vec![Scripted::Text("<html>".into())], 5, "no chat completion"),
+        (vec![Scripted::Json(200, json!({"object": "chat.completion"}))], 5, "missing field `choices`"),
+        (vec![Scripted::Json(200, json!({"choices": []}))], 5, "there is no choice"),
+        (vec![Scripted::Flood], 1, "longer than"),
+    ] {
+        script.take();
+        script.next(answers);
+        let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+        assert_eq!(
+            (error.status, error.code.as_str(), script.calls()),
+            (502, "vlm_unavailable", attempts),
+            "{told}: {}",
+            error.detail
+        );
+        assert!(
+            error.detail.contains(told) && error.detail.contains(&format!("in {attempts} attempts")),
+            "{told}: {}",
+            error.detail
+        );
+
+        let answer = server.client.ground(&scene, &by(ReasonerChoice::Auto)).await.unwrap();
+        assert!(answer.degraded && answer.models.reasoner == "builtin-3" && answer.answer == plain.answer, "{told}");
+        assert!(corrections(&answer).contains(told), "{}", corrections(&answer));
+        let call = &answer.trace.unwrap().calls[0];
+        assert_eq!((call.attempts as usize, call.error.as_ref().is_some_and(|e| e.contains(told))), (attempts, true), "{told}");
+        assert_eq!(answer.usage.vlm_calls, 0);
+        let reply = server.client.answer_reply(&answer.id).await.unwrap();
+        assert!(reply.calls[0].text.is_none() && reply.calls[0].error.as_ref().unwrap().contains(told));
+    }
+    // What is asked for is waited for.
+    script.take();
+    script.next(vec![Scripted::After(429, "1"), six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    let asked_at = std::time::Instant::now();
+    let answer = server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await.unwrap();
+    assert_eq!(answer.trace.unwrap().calls[0].attempts, 2);
+    assert!(asked_at.elapsed() >= Duration::from_secs(1));
+    server.stop().await;
+
+    // A body whose end never comes: from then on its server is taken to be down.
+    script.next(vec![Scripted::Stall]);
+    let (server, scene) = start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
+    let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+    assert_eq!((error.status, error.code.as_str()), (502, "vlm_unavailable"));
+    assert!(error.detail.contains("timed out") && error.detail.contains("in 2 attempts"), "{}", error.detail);
+    down(&server, &scene).await;
+    server.stop().await;
+    // Nobody there; somebody who does not speak TLS.
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    for url in [format!("http://127.0.0.1:{port}/v1"), url.replace("http://", "https://")] {
+        let (server, scene) = start(VlmConfig { vlm_attempts: 2, vlm_timeout_s: 1, ..config(&url) }).await;
+        // Where the look at the start is some seconds ago, the first question tries it.
+        assert!(server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
+        down(&server, &scene).await;
+        server.stop().await;
+    }
+    // No model at all: who insists is told, who does not gets the geometry's answer, undiminished.
+    let (server, scene) = start(VlmConfig::default()).await;
+    let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
+    assert_eq!((error.status, error.code.as_str()), (409, "vlm_not_configured"));
+    assert!(!server.client.ground(&scene, &ask(QUERY)).await.unwrap().degraded);
+    assert_eq!(problem(server.client.name_instances(&scene).await).code, "vlm_not_configured");
+    server.stop().await;
+}
