@@ -5,12 +5,12 @@
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use uniground::evaluation::annotations::{Annotations, SceneObject};
-use uniground::evaluation::systems::{Names, instances_of};
+use uniground::evaluation::systems::{NamedBy, instances_of};
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::geometry::statistics::largest;
 use uniground_core::geometry::{Point3, Vector3};
 use uniground_core::grounding::query::parse;
-use uniground_core::grounding::{Question, SceneView, ground};
+use uniground_core::grounding::{NameIndex, Question, SceneView, ground};
 use uniground_core::models::attributes::Lexicon;
 use uniground_core::scene::{Embeddings, Instance, PointCloud};
 
@@ -38,10 +38,10 @@ fn hall(count: usize) -> Vec<Instance> {
         let base = middle(&noun.base);
         let center = Point3::new((i % side) as f32 * 1.5, (i / side) as f32 * 1.5, base + size.z / 2.0);
         let aabb = Aabb { center, size };
-        SceneObject { id: i as u32 + 1, name: noun.name.clone(), aabb, rotated: None, cloud_points: 0, mean_rgb: None, colours: Vec::new() }
+        SceneObject { id: i as u32 + 1, name: noun.name.clone(), aabb, rotated: None, cloud_points: 0, mean_rgb: None, colours: Vec::new(), seen_as: None }
     };
     let annotations = Annotations { objects: (0..count).map(object).collect(), of_point: None };
-    instances_of(&annotations, &PointCloud::default(), Names::Encoder)
+    instances_of(&annotations, &PointCloud::default(), NamedBy::Encoder)
 }
 
 fn reading(c: &mut Criterion) {
@@ -58,7 +58,7 @@ fn deciding(c: &mut Criterion) {
     for count in [200, 5000] {
         let instances = hall(count);
         let extent = Aabb::around(instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>().iter()).unwrap();
-        let scene = SceneView { instances: &instances, extent, appearance: None };
+        let scene = SceneView { instances: &instances, extent, names: &NameIndex::of(&instances), appearance: None };
         for query in QUESTIONS {
             let question = Question::of(query);
             group.bench_function(format!("{count}: {query}"), |b| b.iter(|| ground(scene, black_box(&question))));

@@ -7,7 +7,7 @@ use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;
 use std::time::Duration;
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::grounding::{Question, SceneView, ground};
+use uniground_core::grounding::{NameIndex, Question, SceneView, ground};
 use uniground_core::ingest;
 use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use uniground_core::progress::Progress;
@@ -52,7 +52,7 @@ fn pipelines(c: &mut Criterion) {
     group.finish();
 
     let mut group = c.benchmark_group("stage 2, sample scene");
-    let scene = SceneView { instances: &parsed.instances, extent: parsed.extent, appearance: None };
+    let scene = SceneView { instances: &parsed.instances, extent: parsed.extent, names: &NameIndex::of(&parsed.instances), appearance: None };
     let question = |query: &str| Question::of(query);
     for query in ["the orange stool", "the bookcase between the red sofa and the desk"] {
         let question = question(query);

@@ -12,7 +12,7 @@ use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground::evaluation::annotations::{Annotations, SceneObject};
 use uniground::evaluation::ladder;
 use uniground::evaluation::segmentation::{InstanceScore, score_instances, score_structure, score_superpoints};
-use uniground::evaluation::systems::{Names, instances_of};
+use uniground::evaluation::systems::{NamedBy, instances_of};
 use uniground_core::models::attributes::Lexicon;
 use uniground_core::progress::Progress;
 use uniground_core::scene::{Instance, ParsedScene};
@@ -132,7 +132,7 @@ fn naming(folder: &Utf8Path, room: &AnnotatedRoom, name: &str, settings: &Parsin
     let parsed = parse(room, &rgbd, settings);
     let known = |name: &str| Lexicon::get().find(name).map(|noun| noun.name.clone());
     let objects = || annotations.objects.iter().filter(|o| o.structure().is_none() && known(&o.name).is_some());
-    let boxed = instances_of(&annotations, &room.bundle.cloud, Names::Encoder);
+    let boxed = instances_of(&annotations, &room.bundle.cloud, NamedBy::Encoder);
     let covering =
         |object: &SceneObject| parsed.instances.iter().max_by(|a, b| a.aabb.iou(&object.aabb).total_cmp(&b.aabb.iou(&object.aabb)));
     let on_boxes: Vec<_> = objects().map(|o| (o, boxed.iter().find(|i| i.aabb == o.aabb).unwrap())).collect();

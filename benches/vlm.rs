@@ -18,7 +18,7 @@ use uniground::config::{
 use uniground_client::Client;
 use uniground_core::grounding::album::{Album, AlbumScene};
 use uniground_core::grounding::vlm::{Conversation, EvidenceMode, Options, PictureSettings, PromptContext, collect, naming};
-use uniground_core::grounding::{Question, SceneView, ground_with_context, query};
+use uniground_core::grounding::{NameIndex, Question, SceneView, ground_with_context, query};
 use uniground_core::ingest::Unpacked;
 use uniground_core::models::chat::Tokens;
 use uniground_core::models::neural::Models;
@@ -64,7 +64,7 @@ impl Sample {
 
     fn context(&self, words: &str) -> PromptContext {
         let scene = &self.parsed.scene;
-        let view = SceneView { instances: &scene.instances, extent: scene.extent, appearance: None };
+        let view = SceneView { instances: &scene.instances, extent: scene.extent, names: &NameIndex::of(&scene.instances), appearance: None };
         ground_with_context(view, &Question::of(words), query::parse(words), Duration::ZERO).1
     }
 

@@ -35,6 +35,8 @@ pub fn evidence() -> impl TypedValueParser<Value = EvidenceMode> {
             "cached-names",
             "Names that a model gave once, and a smaller render; photographs only of candidates the question can not tell apart by name",
         ),
+        ("sheet", "One photograph each of 24 candidates, on contact sheets"),
+        ("two-step", "Contact sheets first, then photographs of the three that remain"),
     ])
 }
 

@@ -55,7 +55,7 @@ struct RunArgs {
     /// Where scans and annotations of the scenes lie, if not beside the suite
     #[arg(long, value_name = "FOLDER")]
     scenes: Option<Utf8PathBuf>,
-    /// What to vary: `axis=value,value;axis=…` over source, preset, masks, encoder, parser, reasoner, ablation, evidence, top_k, convention, and settings of a parse like parsing.merging.max_hop
+    /// What to vary: `axis=value,value;axis=…` over source, names, preset, masks, encoder, parser, reasoner, candidates, query_text, prompt, ablation, evidence, top_k, convention, and settings of a parse like parsing.merging.max_hop
     #[arg(long, default_value = "", value_parser = check_matrix)]
     matrix: String,
     /// Ask a running server instead of this executable (its key: UNIGROUND_API_KEY)

@@ -30,6 +30,8 @@ pub struct SceneObject {
     pub mean_rgb: Option<[f32; 3]>,
     /// Colour names, as annotated.
     pub colours: Vec<ColourName>,
+    /// What somebody called it who had only seen a picture of it (`<scene>.names.json`).
+    pub seen_as: Option<String>,
 }
 
 /// The objects of one scene, in order of id.
@@ -127,7 +129,9 @@ impl Annotations {
                 None
             }
         };
-        (Self { objects: objects.into_values().collect(), of_point }, omissions)
+        let mut objects: Vec<SceneObject> = objects.into_values().collect();
+        omissions.extend(read_seen_names(file, &mut objects).err());
+        (Self { objects, of_point }, omissions)
     }
 
     /// Boxes and their names, numbered from 1.
@@ -141,6 +145,7 @@ impl Annotations {
             cloud_points: 0,
             mean_rgb: None,
             colours: Vec::new(),
+            seen_as: None,
         };
         Self { objects: boxes.iter().enumerate().map(object).collect(), of_point: None }
     }
@@ -195,7 +200,7 @@ fn of_object(record: ObjectRecord, file: &Utf8Path, line: u64) -> Result<SceneOb
         size: Vector3::from(size),
         rotation: UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_deg.to_radians()),
     });
-    let object = SceneObject { id, name, aabb, rotated, cloud_points, mean_rgb, colours };
+    let object = SceneObject { id, name, aabb, rotated, cloud_points, mean_rgb, colours, seen_as: None };
     sound(object).map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))
 }
 
@@ -213,6 +218,7 @@ fn of_lookup(
             cloud_points: 0,
             mean_rgb: None,
             colours: Vec::new(),
+            seen_as: None,
         })
         .and_then(sound)
         .map_err(|what| Omission::new(file, line, format!("object {id}: {what}")))
@@ -249,6 +255,25 @@ pub(super) fn check_box(aabb: &Aabb) -> Result<(), String> {
     } else {
         Ok(())
     }
+}
+
+#[derive(Deserialize)]
+struct SeenNames {
+    names: BTreeMap<u32, String>,
+}
+
+/// Takes the names of `<scene>.names.json` over, where it lies beside the annotations.
+fn read_seen_names(file: &Utf8Path, objects: &mut [SceneObject]) -> Result<(), Omission> {
+    let Some(stem) = file.as_str().strip_suffix(".scene.json") else { return Ok(()) };
+    let file = Utf8PathBuf::from(format!("{stem}.names.json"));
+    if !file.exists() {
+        return Ok(());
+    }
+    let broken = |error: String| Omission::new(&file, None, error);
+    let text = fs::read_to_string(&file).map_err(|error| broken(error.to_string()))?;
+    let SeenNames { mut names } = serde_json::from_str(&text).map_err(|error| broken(error.to_string()))?;
+    objects.iter_mut().for_each(|object| object.seen_as = names.remove(&object.id));
+    Ok(())
 }
 
 fn read_of_point(file: &Utf8Path) -> Result<Option<Vec<u32>>, Omission> {

@@ -6,7 +6,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use uniground_core::grounding::direction::DirectionConvention;
-use uniground_types::question::{Ablation, EvidenceMode, ParserChoice, ReasonerChoice};
+use uniground_types::question::{Ablation, CandidateSource, EvidenceMode, ParserChoice, PromptVersion, QueryText, ReasonerChoice};
 use uniground_types::settings::{ParsePreset, ParseSettings};
 
 /// Where instances come from: each bottleneck by itself.
@@ -24,10 +24,24 @@ pub enum Source {
     Recorded,
 }
 
+/// Where names come from, beside the encoder's.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Names {
+    /// From nobody.
+    #[default]
+    Own,
+    /// What somebody called the annotated objects from pictures alone (`<scene>.names.json`), handed to the instances that cover them:
+    /// names as a good model gives them, without its mistakes about what a tile shows.
+    Seen,
+}
+
 /// One cell: everything a reply depends on, beside the scene and the expression.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Configuration {
     pub source: Source,
+    #[serde(default)]
+    pub names: Names,
     pub preset: ParsePreset,
     /// Settings of a parse that replace those of the preset, as in a request for one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -38,6 +52,12 @@ pub struct Configuration {
     pub encoder: String,
     pub parser: ParserChoice,
     pub reasoner: ReasonerChoice,
+    #[serde(default)]
+    pub candidates: CandidateSource,
+    #[serde(default)]
+    pub query_text: QueryText,
+    #[serde(default)]
+    pub prompt: PromptVersion,
     pub ablation: Ablation,
     pub evidence: EvidenceMode,
     pub top_k: u32,
@@ -49,6 +69,7 @@ impl Default for Configuration {
     fn default() -> Self {
         Self {
             source: Source::Parsed,
+            names: Names::Own,
             preset: ParsePreset::Default,
             settings: None,
             masks: BUILTIN_MASKS.into(),
@@ -56,6 +77,9 @@ impl Default for Configuration {
             parser: ParserChoice::Builtin,
             // A table costs nothing unless somebody says so.
             reasoner: ReasonerChoice::Builtin,
+            candidates: CandidateSource::Fused,
+            query_text: QueryText::Mean,
+            prompt: PromptVersion::Revised,
             ablation: Ablation::Full,
             evidence: EvidenceMode::Full,
             top_k: 5,
@@ -134,11 +158,15 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
     match axis {
         _ if axis.starts_with("import.") || axis.starts_with("parsing.") => set_parse(configuration, axis, value)?,
         "source" => configuration.source = word(axis, value, "parsed, oracle, oracle-boxes, recorded")?,
+        "names" => configuration.names = word(axis, value, "own, seen")?,
+        "candidates" => configuration.candidates = word(axis, value, "fused, encoder, reasoner")?,
+        "query_text" => configuration.query_text = word(axis, value, "full, target, mean")?,
+        "prompt" => configuration.prompt = word(axis, value, "paper, revised")?,
         "preset" => configuration.preset = word(axis, value, "default, paper")?,
         "parser" => configuration.parser = word(axis, value, "builtin, vlm")?,
         "reasoner" => configuration.reasoner = word(axis, value, "auto, builtin, vlm")?,
         "ablation" => configuration.ablation = word(axis, value, "full, no_global, no_candidate, simple_prompt")?,
-        "evidence" => configuration.evidence = word(axis, value, "full, cached_names")?,
+        "evidence" => configuration.evidence = word(axis, value, "full, cached_names, sheet, two_step")?,
         "convention" => configuration.convention = word(axis, value, "paper, viewer")?,
         "masks" => value.clone_into(&mut configuration.masks),
         "encoder" => value.clone_into(&mut configuration.encoder),
@@ -147,7 +175,7 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
             _ => bail!("top_k={value}: expected 1 to {MAX_TOP_K}"),
         },
         _ => bail!(
-            "{axis}: unknown; the axes are source, preset, masks, encoder, parser, reasoner, ablation, evidence, top_k, convention, and every setting of a parse, like parsing.merging.max_hop"
+            "{axis}: unknown; the axes are source, names, preset, masks, encoder, parser, reasoner, candidates, query_text, prompt, ablation, evidence, top_k, convention, and every setting of a parse, like parsing.merging.max_hop"
         ),
     }
     Ok(())

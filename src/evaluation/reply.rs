@@ -25,7 +25,7 @@ pub struct Reply {
 }
 
 /// How deep the recall-at-k curve goes.
-pub const SHORTLIST_DEPTH: u32 = 20;
+pub const SHORTLIST_DEPTH: u32 = 24;
 
 impl Reply {
     /// No answer at all.
@@ -47,7 +47,7 @@ impl Reply {
             confidence: 0.0,
             candidates: Vec::new(),
             shortlist: Vec::new(),
-            models: Models { masks: none(), encoder: none(), parser: none(), reasoner: none() },
+            models: Models { masks: none(), encoder: none(), parser: none(), names: None, reasoner: none() },
             usage: Usage::default(),
             latency_ms: 0.0,
         }

@@ -243,7 +243,7 @@ impl Store {
 }
 
 /// What brings a database of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 7] = [
+const MIGRATIONS: [(i64, &str, &str); 8] = [
     (1, "scenes parses jobs answers", include_str!("../../migrations/0001_scenes_parses_jobs_answers.sql")),
     (2, "instance names spending", include_str!("../../migrations/0002_instance_names_spending.sql")),
     (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
@@ -251,6 +251,7 @@ const MIGRATIONS: [(i64, &str, &str); 7] = [
     (5, "batches", include_str!("../../migrations/0005_batches.sql")),
     (6, "keys audit lists webhooks", include_str!("../../migrations/0006_keys_audit_lists_webhooks.sql")),
     (7, "superseded parses", include_str!("../../migrations/0007_superseded_parses.sql")),
+    (8, "name indexes", include_str!("../../migrations/0008_name_indexes.sql")),
 ];
 
 fn migrations() -> Migrator {

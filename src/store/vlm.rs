@@ -42,6 +42,27 @@ impl Store {
         tx.commit().await
     }
 
+    /// A model has named everything of a parse that can be named.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn complete_name_index(&self, parse_id: &str, model: &str, prompt_version: u32) -> Result<(), StoreError> {
+        let sql = "INSERT OR IGNORE INTO name_indexes (parse_id, model, prompt_version, created_at)
+                   SELECT ?1, ?2, ?3, ?4 WHERE EXISTS (SELECT 1 FROM parses WHERE id = ?1)";
+        let insert = sqlx::query(sql).bind(parse_id).bind(model).bind(prompt_version).bind(now());
+        insert.execute(self.writer.pool()).await?;
+        Ok(())
+    }
+
+    /// The model that last named everything of a parse, by one version of the question.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn name_index(&self, parse_id: &str, prompt_version: u32) -> Result<Option<String>, StoreError> {
+        let sql = "SELECT model FROM name_indexes WHERE parse_id = ? AND prompt_version = ? ORDER BY created_at DESC, model LIMIT 1";
+        Ok(sqlx::query_scalar(sql).bind(parse_id).bind(prompt_version).fetch_optional(&self.reader).await?)
+    }
+
     /// What was spent on a day, US dollars.
     ///
     /// # Errors

@@ -9,9 +9,9 @@ use uniground::evaluation::configuration::{self, Configuration};
 use uniground::evaluation::report::{CellReport, Report, RunFacts};
 use uniground::evaluation::run::{RunOptions, run};
 use uniground::evaluation::suite::{Suite, SuiteOptions};
-use uniground::evaluation::systems::{InProcess, ModelUse, Names, instances_of};
+use uniground::evaluation::systems::{InProcess, ModelUse, NamedBy, instances_of};
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::grounding::{Question, SceneView, Status, ground};
+use uniground_core::grounding::{NameIndex, Question, SceneView, Status, ground};
 use uniground_core::models::attributes::Lexicon;
 use uniground_core::scene::{Instance, PointCloud};
 
@@ -40,13 +40,13 @@ fn rooms(names: &[&'static str]) -> Option<Vec<(&'static str, Known)>> {
 }
 
 fn instances(annotations: &Annotations) -> Vec<Instance> {
-    instances_of(annotations, &PointCloud::default(), Names::Annotated)
+    instances_of(annotations, &PointCloud::default(), NamedBy::Annotated)
 }
 
 /// Whether an answer is the annotated one; ids of instances follow the order of annotations.
 fn is_right(known: &Annotations, instances: &[Instance], query: &str, target: Option<u32>) -> bool {
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
-    let view = SceneView { instances, extent: Aabb::around(&corners).unwrap(), appearance: None };
+    let view = SceneView { instances, extent: Aabb::around(&corners).unwrap(), names: &NameIndex::of(instances), appearance: None };
     let question = Question::of(query);
     let answer = ground(view, &question);
     let chosen = answer.answer.predicted_id.map(|id| known.objects[id.0 as usize - 1].id);
@@ -190,7 +190,7 @@ fn words_that_name_nothing_get_no_box() {
     let Some(rooms) = rooms(&["room1", "room2"]) else { return };
     let instances = instances(&rooms[0].1.annotations);
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
-    let view = SceneView { instances: &instances, extent: Aabb::around(&corners).unwrap(), appearance: None };
+    let view = SceneView { instances: &instances, extent: Aabb::around(&corners).unwrap(), names: &NameIndex::of(&instances), appearance: None };
     for query in ["?", "the of and", "🪑", "椅子", "'; DROP TABLE scenes; --", "the red chair that is not red", "the"] {
         let question = Question::of(query);
         let answer = ground(view, &question);

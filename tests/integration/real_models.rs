@@ -13,7 +13,7 @@ use std::time::Duration;
 use uniground::evaluation::annotated::AnnotatedRoom;
 use uniground::evaluation::annotations::Annotations;
 use uniground::evaluation::segmentation::score_instances;
-use uniground::evaluation::systems::{Names, instances_of, see};
+use uniground::evaluation::systems::{NamedBy, instances_of, see};
 use uniground::inference::RemoteServer;
 use uniground_core::models::neural::{DualEncoder, Engine, Models, OnnxRuntime, PointLabel, Prompt, RuntimeSettings, Segmenter};
 use uniground_core::progress::Progress;
@@ -201,7 +201,7 @@ fn clip_finds_annotated_things_by_their_names() {
         let folder = root().join("../shared/scenes");
         let (annotations, _) = Annotations::read(&Annotations::file_of(&folder, name).unwrap());
         let cloud = &room.bundle.cloud;
-        let mut instances = instances_of(&annotations, cloud, Names::Encoder);
+        let mut instances = instances_of(&annotations, cloud, NamedBy::Encoder);
         let settings = ParsingSettings::default();
         let seen = see(&annotations, &mut instances, cloud, &room.bundle.frames, &encoder, &settings).unwrap();
         // Structure is no object; names come from the annotations.

@@ -36,6 +36,8 @@ pub enum NoMatchReason {
     Elsewhere,
     /// A vision-language model looked and found none.
     NoneSeen,
+    /// A vision-language model sees it, but it is none of the instances: `seen` tells where.
+    NotListed,
 }
 
 /// The paper's six fields.
@@ -55,6 +57,18 @@ pub struct SixFields {
     pub anchor_id: Option<InstanceId>,
     /// The relation the decision used, in the question's words.
     pub relation_used: Option<String>,
+}
+
+/// Where a vision-language model sees what is asked for, though no instance is it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Seen {
+    /// The picture it is seen in, one of the answer's evidence: `candidate-7`, `global`.
+    pub picture: String,
+    /// From the left and the upper rim, shares of the picture's width and height, `0..=1`.
+    pub at: [f32; 2],
+    /// What the model calls it.
+    pub name: String,
 }
 
 /// Another instance the question may mean.
@@ -145,6 +159,10 @@ pub struct Models {
     /// Empty in answers given before this was recorded.
     #[serde(default)]
     pub parser: String,
+    /// Named the scene's things without having heard a question, and answers used its names: a model with the version of its prompt;
+    /// `null` where no model has named them all.
+    #[serde(default)]
+    pub names: Option<String>,
     /// Decided: a vision-language model with the version of its prompt, or the built-in reasoner, like `builtin-3`.
     pub reasoner: String,
 }
@@ -236,6 +254,9 @@ pub struct Answer {
     /// Why nothing was chosen; absent unless `no_match`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub no_match_reason: Option<NoMatchReason>,
+    /// Where a vision-language model sees what is asked for, though no instance is it; `null` unless the reason is `not_listed`.
+    #[serde(default)]
+    pub seen: Option<Seen>,
     /// The six fields.
     pub answer: SixFields,
     /// Axis-aligned box of the answer, metres, world frame (Z up); `null` unless `grounded` or `uncertain`.

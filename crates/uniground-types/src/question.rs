@@ -12,6 +12,9 @@ const MAX_TOP_K: u32 = 100;
 
 const MAX_TIMEOUT_S: f32 = 3600.0;
 
+/// Candidates that contact sheets show at least.
+const ON_SHEETS: u32 = 24;
+
 /// Who decides.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -67,6 +70,44 @@ pub enum Ablation {
     SimplePrompt,
 }
 
+/// Who chooses the candidates: what a vision-language model is shown and may choose from.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum CandidateSource {
+    /// Names somebody gave, the encoder, measures and the geometry of relations together; no walls or floors unless asked for.
+    #[default]
+    Fused,
+    /// The paper's: how alike an instance's looks and the question's words are (`query_text`), and nothing else.
+    Encoder,
+    /// The built-in reasoner: what fits the question as it was read, then what stands where it says.
+    Reasoner,
+}
+
+impl CandidateSource {
+    /// As requests write it.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Fused => "fused",
+            Self::Encoder => "encoder",
+            Self::Reasoner => "reasoner",
+        }
+    }
+}
+
+/// What a vision-language model is told.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum PromptVersion {
+    /// The paper's blocks, with scores of candidates and anchors as predicted.
+    Paper,
+    /// No scores; anchors are shown, may be wrong and may be chosen; what is seen but not listed can be told.
+    #[default]
+    Revised,
+}
+
 /// What a vision-language model is shown of the candidates.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -77,6 +118,10 @@ pub enum EvidenceMode {
     Full,
     /// Names that a model gave once, and a smaller render; photographs only of candidates the question can not tell apart by name.
     CachedNames,
+    /// One photograph each of 24 candidates and more, on one or two contact sheets.
+    Sheet,
+    /// Contact sheets first; then, with another call, photographs of the three candidates that remain.
+    TwoStep,
 }
 
 /// Which words are compared with instances for the shortlist.
@@ -135,7 +180,7 @@ pub struct GroundRequest {
     /// What to find, in plain English.
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 2000, example = "the black chair closest to the door"))]
     pub query: String,
-    /// Candidates to keep.
+    /// Candidates to keep; contact sheets (`evidence`) show 24 at least.
     #[serde(default = "default_top_k")]
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 100, default = 5))]
     pub top_k: u32,
@@ -145,6 +190,15 @@ pub struct GroundRequest {
     /// Who decides.
     #[serde(default)]
     pub reasoner: ReasonerChoice,
+    /// Who chooses the candidates that a vision-language model is shown.
+    #[serde(default)]
+    pub candidates: CandidateSource,
+    /// Which words are compared with the instances' looks, where an encoder has seen them.
+    #[serde(default)]
+    pub query_text: QueryText,
+    /// What a vision-language model is told.
+    #[serde(default)]
+    pub prompt: PromptVersion,
     /// For experiments: what a vision-language model is not told.
     #[serde(default)]
     pub ablation: Ablation,
@@ -188,6 +242,10 @@ pub struct ShortlistRequest {
     /// Which words are compared with the instances, where an encoder has seen them.
     #[serde(default)]
     pub query_text: QueryText,
+    /// Who chooses. By default the encoder, where one has seen the scene.
+    #[serde(default = "by_encoder")]
+    #[cfg_attr(feature = "openapi", schema(default = "encoder"))]
+    pub candidates: CandidateSource,
     /// Scores are likelihoods against a vocabulary instead of cosines.
     #[serde(default)]
     pub calibrated: bool,
@@ -208,8 +266,12 @@ impl ShortlistRequest {
     #[must_use]
     pub fn of(query: impl Into<String>) -> Self {
         let (query, top_k) = (query.into(), default_top_k());
-        Self { query, top_k, query_text: QueryText::default(), calibrated: false, allow_builtin: false }
+        Self { query, top_k, query_text: QueryText::default(), candidates: by_encoder(), calibrated: false, allow_builtin: false }
     }
+}
+
+fn by_encoder() -> CandidateSource {
+    CandidateSource::Encoder
 }
 
 fn default_top_k() -> u32 {
@@ -225,6 +287,9 @@ impl GroundRequest {
             top_k: default_top_k(),
             parser: ParserChoice::default(),
             reasoner: ReasonerChoice::default(),
+            candidates: CandidateSource::default(),
+            query_text: QueryText::default(),
+            prompt: PromptVersion::default(),
             ablation: Ablation::default(),
             evidence: EvidenceMode::default(),
             direction_convention: DirectionConvention::default(),
@@ -234,6 +299,15 @@ impl GroundRequest {
             include: None,
             max_cost_usd: None,
             timeout_s: None,
+        }
+    }
+
+    /// How many candidates are kept: `top_k`, or as many as the contact sheets hold.
+    #[must_use]
+    pub fn candidates_kept(&self) -> u32 {
+        match self.evidence {
+            EvidenceMode::Full | EvidenceMode::CachedNames => self.top_k,
+            EvidenceMode::Sheet | EvidenceMode::TwoStep => self.top_k.max(ON_SHEETS),
         }
     }
 

@@ -128,6 +128,7 @@ fn candidates(folder: &Utf8Path) -> Result<Option<Annotations>, Omission> {
             cloud_points: 0,
             mean_rgb: None,
             colours: Vec::new(),
+            seen_as: None,
         });
     }
     objects.sort_by_key(|o| o.id);

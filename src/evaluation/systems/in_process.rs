@@ -1,11 +1,12 @@
 //! The pipelines themselves, without a server or a store.
 
-use super::oracle::{Names, give_name, instances_of, see, view};
+use super::oracle::{NamedBy, give_name, instances_of, see, view};
+use super::seen_names::name_as_seen;
 use super::{OpenScene, System};
 use crate::chat::ChatClient;
 use crate::config::{BundlesConfig, ModelsConfig};
 use crate::evaluation::annotations::Annotations;
-use crate::evaluation::configuration::{Configuration, Source};
+use crate::evaluation::configuration::{Configuration, Names, Source};
 use crate::evaluation::digest;
 use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
 use crate::evaluation::sealed::OracleRun;
@@ -131,7 +132,7 @@ impl System for InProcess {
         // The scene is brought in once for all reasoners and parsers: where a model may decide, it needs photographs.
         let with_views = self.vlm.is_some();
         let known = |annotations: &Annotations, names| boxed(annotations, scene, names, &models, &settings, with_views);
-        let Entered { instances, cloud, extent, masks, embeddings, frames, folder } = match configuration.source {
+        let Entered { mut instances, cloud, extent, masks, embeddings, frames, folder } = match configuration.source {
             Source::Parsed => {
                 let scan = scene.scan.as_deref().with_context(|| missing("scan"))?;
                 let folder = Unpacked::of(scan)?;
@@ -140,10 +141,13 @@ impl System for InProcess {
                 let ParsedScene { instances, cloud, extent, embeddings, .. } = scene;
                 Entered { instances, cloud, extent, masks: models.masks, embeddings, frames, folder: Some(folder) }
             }
-            Source::Oracle => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, Names::Annotated)?,
-            Source::OracleBoxes => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, Names::Encoder)?,
-            Source::Recorded => known(scene.recorded.as_ref().with_context(|| missing("recorded candidates"))?, Names::Encoder)?,
+            Source::Oracle => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, NamedBy::Annotated)?,
+            Source::OracleBoxes => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, NamedBy::Encoder)?,
+            Source::Recorded => known(scene.recorded.as_ref().with_context(|| missing("recorded candidates"))?, NamedBy::Encoder)?,
         };
+        if configuration.names == Names::Seen {
+            name_as_seen(&mut instances, annotated(OracleRun(())).with_context(|| missing("annotations"))?);
+        }
         let encoder = models
             .label(Role::Encoder)
             .filter(|_| embeddings.is_some())
@@ -176,7 +180,7 @@ struct Entered {
 fn boxed(
     known: &Annotations,
     scene: &SuiteScene,
-    names: Names,
+    names: NamedBy,
     models: &NeuralModels,
     settings: &ParseSettings,
     with_views: bool,
@@ -191,7 +195,7 @@ fn boxed(
     let extent = Aabb::around(cloud.positions.iter().chain(&corners)).with_context(|| format!("the scene {} is empty", scene.id))?;
     let mut instances = instances_of(known, &cloud, names);
     let embeddings = match &models.encoder {
-        Some(encoder) if names == Names::Encoder => Some(see(known, &mut instances, &cloud, &frames, encoder, &settings.parsing)?),
+        Some(encoder) if names == NamedBy::Encoder => Some(see(known, &mut instances, &cloud, &frames, encoder, &settings.parsing)?),
         _ => None,
     };
     if with_views {
@@ -213,6 +217,8 @@ impl OpenScene for LocalScene {
             convention: configuration.convention,
             observer: None,
             target_name: hints.and_then(|hints| hints.target_name.clone()),
+            candidates: configuration.candidates,
+            query_text: configuration.query_text,
             min_confidence: 0.0,
         };
         let source = self.album.scene(instances);
@@ -220,7 +226,8 @@ impl OpenScene for LocalScene {
         let answered = answer(&source, self.vlm.as_deref(), question, configuration)?;
         let latency_ms = start.elapsed().as_secs_f64() * 1e3;
         let Answered { grounding, parsed, parser, encoder, reasoner, calls, .. } = answered;
-        let scoring = ShortlistScoring::default();
+        let scoring =
+            ShortlistScoring { from: configuration.candidates, query_text: configuration.query_text, calibrated: false };
         let shortlist = shortlist_of(source.as_ref(), &expression.query, &parsed, scoring, false, SHORTLIST_DEPTH as usize)?;
         Ok(Reply {
             status: grounding.status,
@@ -230,7 +237,7 @@ impl OpenScene for LocalScene {
             confidence: grounding.confidence,
             candidates: grounding.candidates,
             shortlist: shortlist.candidates.iter().map(|c| c.aabb).collect(),
-            models: Models { masks: self.masks.clone(), encoder, parser, reasoner },
+            models: Models { masks: self.masks.clone(), encoder, parser, names: None, reasoner },
             usage: usage(&calls),
             latency_ms,
         })
@@ -253,7 +260,7 @@ impl LocalScene {
     fn with(&self, anchors: &[(String, Aabb)]) -> Vec<Instance> {
         let mut instances = self.instances.to_vec();
         let objects = Annotations::named(anchors);
-        for mut anchor in instances_of(&objects, &PointCloud::default(), Names::Annotated) {
+        for mut anchor in instances_of(&objects, &PointCloud::default(), NamedBy::Annotated) {
             let name = anchor.given_name.take().unwrap_or_default();
             anchor.id = InstanceId(instances.len() as u32 + 1);
             give_name(&mut anchor, &name);
@@ -273,7 +280,7 @@ fn answer(source: &Arc<AlbumScene>, vlm: Option<&Reviewer>, question: Question, 
     let review = vlm.filter(|_| configuration.reasoner != ReasonerChoice::Builtin).map(|vlm| Review {
         model: vlm.model.clone(),
         budgets: vlm.budgets.clone(),
-        options: Options { ablation: configuration.ablation, evidence: configuration.evidence, json: vlm.json },
+        options: Options { ablation: configuration.ablation, evidence: configuration.evidence, prompt: configuration.prompt, json: vlm.json },
         without_model: WithoutModel::Fail,
     });
     let ask = Ask { question, parser, without_parser: WithoutModel::Fail, allow_builtin_encoder: false, review };

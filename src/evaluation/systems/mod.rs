@@ -2,13 +2,14 @@
 
 mod in_process;
 mod oracle;
+mod seen_names;
 mod server;
 
 use super::configuration::Configuration;
 use super::reply::Reply;
 use super::suite::{Expression, Hints, SuiteScene};
 pub use in_process::{InProcess, ModelUse};
-pub use oracle::{Names, instances_of, see};
+pub use oracle::{NamedBy, instances_of, see};
 pub use server::Server;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::render::RenderScene;

@@ -18,7 +18,7 @@ use uniground_core::scene_parsing::{ParseError, ParsingSettings, views};
 
 /// Who names annotated instances.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Names {
+pub enum NamedBy {
     Annotated,
     Encoder,
 }
@@ -29,7 +29,7 @@ const UNKNOWN_PLANARITY: f32 = 0.4;
 /// Instances with annotated boxes, in the order of the annotations. With annotated names come annotated colours; else, and where none
 /// are, colours are those of the points that belong to each object in `cloud`, or the annotated mean colour where it has no points.
 #[must_use]
-pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: Names) -> Vec<Instance> {
+pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: NamedBy) -> Vec<Instance> {
     let objects = &annotations.objects;
     let label_of_point = annotations.label(cloud);
     let mut colours: Vec<Vec<[u8; 3]>> = vec![Vec::new(); objects.len()];
@@ -67,7 +67,7 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: Names)
             oriented_box,
             point_count: seen.len() as u32,
             mean_rgb,
-            colours: if names == Names::Annotated && !object.colours.is_empty() {
+            colours: if names == NamedBy::Annotated && !object.colours.is_empty() {
                 ColourHistogram::even(&object.colours)
             } else if seen.is_empty() {
                 ColourHistogram::of([mean_rgb])
@@ -82,13 +82,13 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: Names)
             names: Vec::new(),
             given_name: None,
         };
-        if names == Names::Annotated {
+        if names == NamedBy::Annotated {
             give_name(&mut instance, &object.name);
         }
         instance
     };
     let mut instances: Vec<Instance> = objects.iter().enumerate().map(build).collect();
-    if names == Names::Encoder {
+    if names == NamedBy::Encoder {
         attributes::name_all(&mut instances);
     }
     instances

@@ -9,6 +9,7 @@ mod transcripts;
 pub use lists::LineFormat;
 pub(super) use stored_scene::StoredScene;
 
+use super::parses::LoadedParse;
 use super::vlm::OF_QUESTION;
 use super::{Caller, Service, Vlm};
 use crate::error::Error;
@@ -87,7 +88,7 @@ impl Service {
         };
         answered.calls.iter().for_each(|call| self.metrics.vlm.purpose(call.purpose));
         let version = u32::try_from(scene.parse_version).unwrap_or(0);
-        let mut answer = self.told(&answered, asker.answer_id, scene.id, version, source.parse.masks.clone());
+        let mut answer = self.told(&answered, asker.answer_id, scene.id, version, &source.parse);
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
         match self.keep(&answer, model, &parse_id, answered.calls).await {
             Ok(true) => {}
@@ -140,8 +141,8 @@ impl Service {
         request.check()?;
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
-        let ShortlistRequest { query, top_k, query_text, calibrated, allow_builtin } = request;
-        let scoring = ShortlistScoring { query_text, calibrated };
+        let ShortlistRequest { query, top_k, query_text, candidates, calibrated, allow_builtin } = request;
+        let scoring = ShortlistScoring { from: candidates, query_text, calibrated };
         let Shortlist { candidates, encoder, cut } =
             pipeline::shortlist(&source, query.clone(), scoring, allow_builtin, top_k as usize).await?;
         Ok(Shortlisted { query, candidates, encoder, cut })
@@ -195,27 +196,30 @@ impl Service {
         let review = reviewer.map(|vlm| Review {
             model: vlm.model_for(caller),
             budgets: budgets.to_vec(),
-            options: Options { ablation: request.ablation, evidence: request.evidence, json: vlm.json() },
+            options: Options { ablation: request.ablation, evidence: request.evidence, prompt: request.prompt, json: vlm.json() },
             without_model,
         });
         let question = Question {
             query: request.query.clone(),
-            top_k: request.top_k as usize,
+            top_k: request.candidates_kept() as usize,
             convention: request.direction_convention,
             observer: request.observer,
             target_name: None,
+            candidates: request.candidates,
+            query_text: request.query_text,
             min_confidence: request.min_confidence.unwrap_or(DEFAULT_MIN_CONFIDENCE),
         };
         Ok(Ask { question, parser, without_parser: WithoutModel::BuiltIn, allow_builtin_encoder: request.allow_builtin, review })
     }
 
     /// What came of a question, as callers are told.
-    fn told(&self, answered: &Answered, id: String, scene_id: String, parse_version: u32, masks: String) -> Answer {
+    fn told(&self, answered: &Answered, id: String, scene_id: String, parse_version: u32, parse: &LoadedParse) -> Answer {
         let Answered { grounding, parsed: _, parser, encoder, reasoner, degraded, corrections, calls } = answered.clone();
         let Grounding {
             query,
             status,
             no_match_reason,
+            seen,
             answer,
             aabb,
             oriented_box,
@@ -241,6 +245,7 @@ impl Service {
             query,
             status,
             no_match_reason,
+            seen,
             answer,
             aabb,
             oriented_box,
@@ -250,7 +255,7 @@ impl Service {
             targets,
             count,
             parsed_query,
-            models: Models { masks, encoder, parser, reasoner },
+            models: Models { masks: parse.masks.clone(), encoder, parser, names: parse.named_by.clone(), reasoner },
             degraded,
             stored: true,
             direction_convention,

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::sync::Arc;
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::grounding::PictureCache;
+use uniground_core::grounding::{NameIndex, PictureCache};
 use uniground_core::grounding::pipeline::SceneSource;
 use uniground_core::ingest::{self, IngestError};
 use uniground_core::models::neural::{DualEncoder, Role};
@@ -38,6 +38,10 @@ impl SceneSource for StoredScene {
 
     fn instances(&self) -> &[Instance] {
         &self.parse.instances
+    }
+
+    fn name_index(&self) -> &NameIndex {
+        &self.parse.names
     }
 
     fn extent(&self) -> Aabb {

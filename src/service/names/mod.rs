@@ -12,7 +12,7 @@ use std::time::Duration;
 use uniground_core::grounding::pipeline::SceneSource;
 use uniground_core::grounding::vlm::naming;
 use uniground_core::models::chat::{OverBudget, Session};
-use uniground_core::scene::{InstanceId, Level};
+use uniground_core::scene::{Instance, InstanceId};
 use uniground_core::scene_parsing::ParseError;
 
 /// Names the objects of scenes. It waits for a model most of its time: several at once do not stand in each other's way.
@@ -70,6 +70,16 @@ impl Service {
         }
     }
 
+    /// Gives instances the names of the parse's index, where a model has named everything; that model and the version of the question.
+    pub(super) async fn give_names(&self, parse_id: &str, instances: &mut [Instance]) -> Result<Option<String>, Error> {
+        let Some(model) = self.store.name_index(parse_id, naming::NAMING_VERSION).await? else { return Ok(None) };
+        let mut names = self.store.instance_names(parse_id, &model, naming::NAMING_VERSION).await?;
+        for instance in instances {
+            instance.given_name = names.remove(&instance.id.0).filter(|name| !name.is_empty());
+        }
+        Ok(Some(naming::namer(&model)))
+    }
+
     /// Keeps names the configured model gave; those given before stay.
     pub(super) async fn keep_names(&self, parse_id: &str, names: &BTreeMap<u32, String>) -> Result<(), Error> {
         if let Some(vlm) = &self.vlm {
@@ -88,7 +98,7 @@ impl Service {
         let unnamed: Vec<InstanceId> = source
             .instances()
             .iter()
-            .filter(|i| i.level == Level::Thing && i.structure.is_none() && !known.contains_key(&i.id.0))
+            .filter(|i| i.structure.is_none() && !known.contains_key(&i.id.0))
             .map(|i| i.id)
             .collect();
         let mut named = 0;
@@ -103,6 +113,9 @@ impl Service {
             };
             named += names.values().filter(|name| !name.is_empty()).count();
         }
+        self.store.complete_name_index(&parse_id, vlm.name(), naming::NAMING_VERSION).await?;
+        // Whoever asks from now on is answered with all names.
+        self.parses.loaded.remove(&parse_id);
         Ok(format!("{named} of {} objects named by {}", unnamed.len(), vlm.name()))
     }
 

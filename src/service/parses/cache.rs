@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::time::SystemTime;
 use uniground_core::geometry::boxes::Aabb;
+use uniground_core::grounding::NameIndex;
 use uniground_core::recent::Recent;
 use uniground_core::render::RenderScene;
 use uniground_core::scene::{Embeddings, Instance};
@@ -10,7 +11,11 @@ use uniground_core::scene::{Embeddings, Instance};
 /// A parse as stage 2 needs it.
 pub struct LoadedParse {
     pub id: String,
+    /// With the names of the index.
     pub instances: Vec<Instance>,
+    pub names: NameIndex,
+    /// Name and version of the model that named everything; `None` where none did.
+    pub named_by: Option<String>,
     pub extent: Aabb,
     /// Name and version of what the parse was made with.
     pub masks: String,

@@ -22,6 +22,7 @@ use std::io;
 use std::sync::Arc;
 use tokio::task::spawn_blocking;
 use uniground_core::geometry::boxes::Aabb;
+use uniground_core::grounding::NameIndex;
 use uniground_core::parse::{STAGE_1_VERSION, chosen, names_of};
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
@@ -177,12 +178,15 @@ impl Service {
         }
         let gone = || Error::SceneNotFound { id: parse_id.into() };
         let ParseRecord { models, extent, .. } = self.store.parse(parse_id).await?.ok_or_else(gone)?.record();
-        let instances = self.store.instances(parse_id).await?;
+        let mut instances = self.store.instances(parse_id).await?;
+        let named_by = self.give_names(parse_id, &mut instances).await?;
         let around = || Aabb::around(&instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>());
         let parse = Arc::new(LoadedParse {
             id: parse_id.to_owned(),
             embeddings: files::read_embeddings(&self.store.blobs.parse(parse_id)).await?,
             extent: extent.or_else(around).ok_or_else(gone)?,
+            names: NameIndex::of(&instances),
+            named_by,
             instances,
             masks: models.masks,
             encoder: models.encoder,

@@ -1,5 +1,6 @@
 //! A parsed scene in memory as the question pipeline sees it: for evaluation, and for a robot's own process.
 
+use super::names::NameIndex;
 use super::picture_cache::PictureCache;
 use super::scene_source::{QuestionError, SceneSource};
 use crate::geometry::boxes::Aabb;
@@ -32,6 +33,7 @@ pub struct Album {
 pub struct AlbumScene {
     album: Arc<Album>,
     instances: Arc<[Instance]>,
+    name_index: NameIndex,
 }
 
 impl Album {
@@ -51,7 +53,7 @@ impl Album {
     /// These instances in this album.
     #[must_use]
     pub fn scene(self: &Arc<Self>, instances: Arc<[Instance]>) -> Arc<AlbumScene> {
-        Arc::new(AlbumScene { album: self.clone(), instances })
+        Arc::new(AlbumScene { album: self.clone(), name_index: NameIndex::of(&instances), instances })
     }
 }
 
@@ -70,6 +72,10 @@ impl SceneSource for AlbumScene {
 
     fn instances(&self) -> &[Instance] {
         &self.instances
+    }
+
+    fn name_index(&self) -> &NameIndex {
+        &self.name_index
     }
 
     fn extent(&self) -> Aabb {

@@ -3,8 +3,9 @@
 use super::query::{Meaning, ParsedQuery, Phrase, Quantity, Superlative};
 use super::reasoner::Verdict;
 use super::shortlist;
-use super::{Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Question, SceneView, SixFields, Status, Target, Timings};
+use super::{Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Question, SceneView, Seen, SixFields, Status, Target, Timings};
 use crate::geometry::boxes::{Aabb, OrientedBox};
+use crate::geometry::colour::ColourName;
 use crate::scene::Instance;
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
@@ -31,6 +32,9 @@ pub struct Grounding {
     /// Why nothing is chosen; `None` unless `no_match`.
     #[serde(default)]
     pub no_match_reason: Option<NoMatchReason>,
+    /// Where a vision-language model sees what no instance is; `None` unless the reason is `not_listed`.
+    #[serde(default)]
+    pub seen: Option<Seen>,
     /// The paper's six fields (App. B.1).
     pub answer: SixFields,
     /// Axis-aligned box of the answer; `null` unless `grounded` or `uncertain`.
@@ -97,6 +101,7 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
         query: question.query.clone(),
         status,
         no_match_reason: reason,
+        seen: None,
         answer: SixFields {
             predicted_id: chosen.map(|i| i.id),
             explanation,
@@ -139,6 +144,10 @@ impl Grounding {
 
 /// "red sofa": dominant colour and best name, whatever the question says.
 pub(super) fn described(instance: &Instance) -> String {
+    let says_colour = |name: &String| name.split_whitespace().any(|word| ColourName::ALL.iter().any(|colour| colour.word() == word));
+    if let Some(name) = instance.given_name.as_ref().filter(|name| says_colour(name)) {
+        return name.clone();
+    }
     match instance.colours.dominant().first() {
         Some((colour, _)) => format!("{} {}", colour.word(), instance.label()),
         None => instance.label().to_owned(),

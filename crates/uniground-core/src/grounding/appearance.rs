@@ -7,11 +7,13 @@ use crate::models::calibration;
 use crate::models::neural::{DualEncoder, ModelError, TextEmbedding};
 use crate::scene::{Embeddings, Norms};
 use std::collections::HashMap;
-use uniground_types::question::QueryText;
+use uniground_types::question::{CandidateSource, QueryText};
 
-/// How the shortlist is scored, where an encoder has seen the scene.
+/// How a shortlist is made.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct ShortlistScoring {
+    /// Who chooses; what follows is the encoder's part, where one has seen the scene.
+    pub from: CandidateSource,
     /// The words whose vector is compared with the instances.
     pub query_text: QueryText,
     /// Compare the cosine with those of all nouns of the lexicon, so that an instance near every word gains nothing by it (docs/METHOD.md,

@@ -14,6 +14,7 @@ use super::query::{ME, Meaning, Phrase, Relation, RelationKind, zones};
 use super::relations::{self, Room};
 use super::solid::Solid;
 use crate::geometry::boxes::OrientedBox;
+use crate::geometry::statistics::largest;
 use crate::geometry::{Point2, Point3, Vector3};
 use crate::scene::{InstanceId, Structure, Support};
 use places::ranked;
@@ -129,11 +130,8 @@ impl<'a> Assessor<'a> {
     pub fn own_fits(&self, phrase: &Phrase) -> (Vec<f32>, Vec<f32>) {
         let instances = self.scene.instances;
         let nouns = noun_fits(self.scene, phrase);
-        let mut own: Vec<f32> = instances
-            .iter()
-            .zip(&nouns)
-            .map(|(i, noun)| if *noun > 0.0 { noun * colours_fit(phrase, i) } else { 0.0 })
-            .collect();
+        let of_colour = |(i, noun): (usize, &f32)| if *noun > 0.0 { noun * colours_fit(self.scene, phrase, i) } else { 0.0 };
+        let mut own: Vec<f32> = nouns.iter().enumerate().map(of_colour).collect();
         for &asked in &phrase.traits {
             let fits = trait_fits(instances, &self.solids, &nouns, asked);
             own.iter_mut().zip(fits).for_each(|(score, fit)| *score *= fit);
@@ -151,9 +149,14 @@ impl<'a> Assessor<'a> {
     /// The index of what a phrase most likely means.
     #[must_use]
     pub fn best(&self, phrase: &Phrase) -> Option<usize> {
+        self.likely(phrase, 1).first().copied()
+    }
+
+    /// Indices of what a phrase may mean, at most so many, best first.
+    #[must_use]
+    pub fn likely(&self, phrase: &Phrase, most: usize) -> Vec<usize> {
         let total = self.assess(phrase).total;
-        let best = (0..total.len()).max_by(|&a, &b| total[a].total_cmp(&total[b]).then(b.cmp(&a)))?;
-        (total[best] > 0.0).then_some(best)
+        largest(&total, most).into_iter().filter(|&i| total[i] > 0.0).collect()
     }
 
     /// The middle of all that a phrase's own words may mean; metres.

@@ -1,21 +1,21 @@
 //! How well instances fit what a phrase says of the thing itself: noun x colours x traits. Relations are [`assess`](super::assess)'s.
 
+use super::kinds::breadth;
+use super::names::GivenName;
 use super::SceneView;
 use super::place::one_per_place;
 use super::query::{Meaning, Phrase, Trait};
 use super::solid::Solid;
-use crate::geometry::colour::lab_of_srgb;
-use crate::models::attributes::{self, Kinship, Lexicon, Noun, WordNet, noun_fit};
+use crate::geometry::colour::{ColourName, lab_of_srgb};
+use crate::models::attributes::{self, Noun, noun_fit};
 use crate::scene::{Instance, Level, Support};
 
-/// A broader word ("seat" for a sofa) fits a little less than the thing's own name.
-const BROADER_WORD: f32 = 0.9;
-/// A thing that was given a broader name than the one asked for may be meant.
-const BROADER_NAME: f32 = 0.5;
-/// Another word for the name that was given.
-const SYNONYM: f32 = 0.95;
-/// A thing that serves a use as others do; one that is named after the use has 1.
-const SERVES_ALIKE: f32 = 0.93;
+/// A name seldom says all that can be said.
+const UNSAID: f32 = 0.8;
+/// How much a colour that somebody has seen counts beside the one that was measured: a scan's light is seldom white.
+const SEEN_COLOUR: f32 = 0.67;
+/// What is left where a name says another colour.
+const NAMED_OTHERWISE: f32 = 0.25;
 /// Something of any size is among the parts and wholes of a room: where only measures tell what they are, they are a last resort.
 const GUESSED: f32 = 0.55;
 /// How well "thing" and "one" fit everything.
@@ -38,10 +38,7 @@ const OPPOSITE_TRAIT: f32 = 0.3;
 pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
     let meaning = phrase.meaning();
     let by_appearance = |word: &str, index: usize, measured| scene.appearance.and_then(|appearance| appearance.fit(word, index, measured));
-    let fit = |(index, instance): (usize, &Instance)| match &meaning {
-        Meaning::Nouns(_) | Meaning::Unknown if instance.given_name.is_some() => {
-            instance.given_name.as_deref().map_or(0.0, |given| given_name_fit(given, phrase, &meaning))
-        }
+    let unnamed = |(index, instance): (usize, &Instance)| match &meaning {
         // A word without measures: only its looks tell.
         Meaning::Unknown if instance.structure.is_none() => by_appearance(&phrase.head, index, None).unwrap_or(0.0),
         Meaning::Unknown => 0.0,
@@ -69,12 +66,24 @@ pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
             by_looks.unwrap_or_else(|| guessed * by_measure * among_names(by_measure, nouns, instance).sqrt())
         }
     };
+    let fit = |(index, instance): (usize, &Instance)| match (scene.names.get(index), &meaning) {
+        (Some(name), Meaning::Nouns(_) | Meaning::Unknown) => name.fit(phrase, &meaning) * said(name, phrase),
+        (Some(name), Meaning::Anything) if !name.is_thing() => 0.0,
+        // Planes were measured; a name tells of stretches that were not.
+        (Some(name), Meaning::Structure(_)) => unnamed((index, instance)).max(name.fit(phrase, &meaning)),
+        _ => unnamed((index, instance)),
+    };
     let mut fits: Vec<f32> = scene.instances.iter().enumerate().map(fit).collect();
     one_per_place(scene.instances, &mut fits);
     if let (Meaning::Nouns(nouns), None, true) = (&meaning, scene.appearance, phrase.uses.is_empty()) {
         called_so_first(nouns, scene.instances, &mut fits);
     }
     fits
+}
+
+/// What is left where a name does not say what is said of the thing: "leather", "kitchen".
+fn said(name: &GivenName, phrase: &Phrase) -> f32 {
+    phrase.unchecked.iter().map(|word| if name.says(word) { 1.0 } else { UNSAID }).product()
 }
 
 /// "What is on my right?" asks for something one would name, not for a speck or a sliver: by the second of its three sides.
@@ -103,72 +112,24 @@ fn called_so_first(nouns: &[&Noun], instances: &[Instance], fits: &mut [f32]) {
     }
 }
 
-/// Weight of the `i`-th meaning of a phrase's noun: 1 for the thing of that name, less for things it is a broader word for. Things
-/// that serve a use weigh the same, except those named after it: tea is poured from a teapot.
-fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
-    let names = || std::iter::once(&noun.name).chain(&noun.synonyms).flat_map(|name| name.split(' '));
-    match phrase.uses.is_empty() {
-        true if i == 0 => 1.0,
-        true => BROADER_WORD,
-        false if names().any(|word| phrase.purpose.iter().any(|said| said == word)) => 1.0,
-        false => SERVES_ALIKE,
-    }
-}
-
-/// How well a name that somebody gave fits the noun asked for: the same thing in other words fits fully, a broader word a little less.
-pub(super) fn given_name_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
-    // "kitchen chair" is one name where somebody gave it.
-    if phrase
-        .unchecked
-        .iter()
-        .any(|before| given.strip_suffix(&phrase.head).and_then(|rest| rest.strip_suffix(' ')) == Some(before))
-    {
-        return 1.0;
-    }
-    let fit = match (meaning, Lexicon::get().find(given)) {
-        (Meaning::Nouns(asked), Some(own)) => match asked.iter().position(|noun| noun.name == own.name) {
-            // The very word is meant before its synonyms.
-            Some(i) => {
-                breadth(phrase, own, i)
-                    * if i > 0 || !phrase.uses.is_empty() || given == phrase.head || own.name == phrase.head { 1.0 } else { SYNONYM }
-            }
-            // "table" was given and "side table" is asked for: it may be one.
-            None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => BROADER_NAME,
-            None => 0.0,
-        },
-        _ => f32::from(u8::from(last(given) == last(&phrase.head))),
-    };
-    if fit > 0.0 || phrase.head.is_empty() || !phrase.uses.is_empty() { fit } else { kinship_fit(given, &phrase.head) }
-}
-
-fn last(words: &str) -> Option<&str> {
-    words.split_whitespace().next_back()
-}
-
-/// The same for words that the lexicon does not put together.
-fn kinship_fit(given: &str, asked: &str) -> f32 {
-    // Of a compound that the lexicon tells from others, the last word alone says too little: a high chair is no dining chair.
-    if Lexicon::get().knows(asked) && !WordNet::get().names(asked) {
-        return 0.0;
-    }
-    match WordNet::get().kinship(given, asked) {
-        Some(Kinship::Same) => SYNONYM,
-        Some(Kinship::Narrower(steps)) => BROADER_WORD - 0.1 * steps as f32,
-        Some(Kinship::Broader(steps)) => BROADER_NAME - 0.1 * steps as f32,
-        None => 0.0,
-    }
-}
-
-/// Fit of an instance to a phrase's colours, `0..=1`.
+/// Fit of the instance at an index to a phrase's colours, `0..=1`.
 #[must_use]
-pub fn colours_fit(phrase: &Phrase, instance: &Instance) -> f32 {
+pub fn colours_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
+    let instance = &scene.instances[index];
+    let named = scene.names.get(index).map(GivenName::colours).filter(|named| !named.is_empty());
+    let colour_fit = |colour: ColourName| {
+        let measured = attributes::colour_fit(colour, instance);
+        let Some(named) = named else { return measured };
+        let seen = if named.contains(&colour) { 1.0 } else { NAMED_OTHERWISE };
+        measured + SEEN_COLOUR * (seen - measured)
+    };
     // Two colours share the surface: each needs to be there, neither needs to rule.
     let n = phrase.colours.len().max(1) as f32;
     let wanted = phrase
         .colours
         .iter()
-        .map(|&c| (attributes::colour_fit(c, instance) * n.sqrt()).clamp(WRONG_COLOUR, 1.0));
-    let unwanted = phrase.other_than.iter().map(|&c| (1.0 - attributes::colour_fit(c, instance)).max(WRONG_COLOUR));
+        .map(|&c| (colour_fit(c) * n.sqrt()).clamp(WRONG_COLOUR, 1.0));
+    let unwanted = phrase.other_than.iter().map(|&c| (1.0 - colour_fit(c)).max(WRONG_COLOUR));
     wanted.chain(unwanted).product()
 }
 
@@ -228,18 +189,6 @@ pub(super) fn most_plausible(fits: &[f32], limit: usize) -> Vec<(usize, f32)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn names_are_matched_by_kind_not_by_their_last_word() {
-        let fit = |given: &str, asked: &str| {
-            let phrase = Phrase { head: asked.into(), ..Phrase::default() };
-            given_name_fit(given, &phrase, &phrase.meaning())
-        };
-        assert!(fit("trash can", "dustbin") >= SYNONYM && fit("acoustic guitar", "musical instrument") > 0.5);
-        for (given, asked) in [("high chair", "dining chair"), ("coffee table", "dining table"), ("washing machine", "fridge")] {
-            assert_eq!(fit(given, asked), 0.0, "{given} {asked}");
-        }
-    }
 
     #[test]
     fn only_the_best_few_are_looked_at() {

@@ -8,8 +8,11 @@ pub mod album;
 mod answer;
 mod appearance;
 mod assess;
+mod candidates;
 pub mod direction;
 mod fit;
+mod kinds;
+mod names;
 mod picture_cache;
 pub mod pipeline;
 mod place;
@@ -25,10 +28,11 @@ pub use answer::Grounding;
 pub use appearance::{Appearance, ShortlistScoring};
 use assess::Assessor;
 use direction::{DirectionConvention, Directions, Observer};
+pub use names::{GivenName, NameIndex};
 pub use picture_cache::PictureCache;
 use std::time::{Duration, Instant};
-pub use uniground_types::answer::{Alternative, Candidate, NoMatchReason, ParsedQuerySummary, SixFields, Status, Target, Timings};
-pub use uniground_types::question::QueryText;
+pub use uniground_types::answer::{Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Seen, SixFields, Status, Target, Timings};
+pub use uniground_types::question::{CandidateSource, QueryText};
 
 use crate::geometry::boxes::Aabb;
 use crate::scene::Instance;
@@ -40,6 +44,8 @@ pub struct SceneView<'a> {
     pub instances: &'a [Instance],
     /// Box of all points, metres, world frame (Z up).
     pub extent: Aabb,
+    /// The names that somebody who has seen them gave the instances, read.
+    pub names: &'a NameIndex,
     /// How the question's words compare with what the instances look like; `None` where no encoder has seen them.
     pub appearance: Option<&'a Appearance>,
 }
@@ -57,6 +63,10 @@ pub struct Question {
     pub observer: Option<Observer>,
     /// The target's class, where it is given with the question: only in an evaluation done the paper's way.
     pub target_name: Option<String>,
+    /// Who chooses what a vision-language model is shown.
+    pub candidates: CandidateSource,
+    /// Which words are compared with the instances' looks.
+    pub query_text: QueryText,
     /// Least belief for an answer, `0..=1`; below it the answer is uncertain.
     pub min_confidence: f32,
 }
@@ -71,22 +81,29 @@ impl Question {
             convention: DirectionConvention::default(),
             observer: None,
             target_name: None,
+            candidates: CandidateSource::default(),
+            query_text: QueryText::default(),
             min_confidence: 0.0,
         }
     }
 }
 
-/// The `top_k` best candidates for a question, without a look at relations (paper, section 3.2: by the encoder): by appearance where an
-/// encoder has seen the scene and knows the words, by names and attributes otherwise.
+/// The `top_k` best candidates for a question, without a decision (paper, section 3.2: by the encoder).
 #[must_use]
-pub fn rank_candidates(scene: SceneView, parsed: &query::ParsedQuery, top_k: usize) -> Vec<Candidate> {
-    if let Some(scores) = scene.appearance.and_then(Appearance::shortlist) {
-        let mut scores = scores.to_vec();
+pub fn rank_candidates(scene: SceneView, parsed: &query::ParsedQuery, from: CandidateSource, top_k: usize) -> Vec<Candidate> {
+    if let (CandidateSource::Encoder, Some(looks)) = (from, scene.appearance.and_then(Appearance::shortlist)) {
+        let mut scores = looks.to_vec();
         place::one_per_place(scene.instances, &mut scores);
         return shortlist::rank(scene, &scores, top_k);
     }
-    let assessor = Assessor::new(scene, DirectionConvention::Paper.into());
-    shortlist::rank(scene, &assessor.own_fits(&parsed.target).1, top_k)
+    let mut assessor = Assessor::new(scene, DirectionConvention::Paper.into());
+    match from {
+        CandidateSource::Encoder => shortlist::rank(scene, &assessor.own_fits(&parsed.target).1, top_k),
+        _ => {
+            let scores = reasoner::builtin::decide(&mut assessor, parsed).scores;
+            candidates::choose(&assessor, parsed, &scores, from, top_k)
+        }
+    }
 }
 
 /// Answers a question, read by the built-in grammar.
@@ -103,8 +120,8 @@ pub fn ground_read(scene: SceneView, question: &Question, parsed: query::ParsedQ
     decided(scene, question, parsed, reading).1
 }
 
-/// Answers a question, and gathers what a vision-language model is told so that it can decide better. The answer has `top_k` candidates:
-/// those that fit, then things that stand where the question says, whatever they are called.
+/// Answers a question, and gathers what a vision-language model is told so that it can decide better. The answer has the `top_k`
+/// candidates that the question's [`CandidateSource`] chooses.
 #[must_use]
 pub fn ground_with_context(
     scene: SceneView,
@@ -113,19 +130,8 @@ pub fn ground_with_context(
     reading: Duration,
 ) -> (Grounding, vlm::PromptContext) {
     let (decided, mut grounding) = decided(scene, question, parsed, reading);
-    let Decided { assessor, parsed, beliefs } = decided;
-    let placed = assessor
-        .assess(&query::Phrase { head: String::new(), uses: Vec::new(), ..parsed.target.clone() })
-        .total;
-    let known = |id| grounding.candidates.iter().any(|c| c.id == id);
-    let others: Vec<Candidate> = shortlist::rank(scene, &placed, scene.instances.len())
-        .into_iter()
-        .filter(|c| !known(c.id))
-        .collect();
-    let room = question.top_k.saturating_sub(grounding.candidates.len());
-    let first = grounding.candidates.len() as u32 + 1;
-    let others = others.into_iter().take(room).zip(first..).map(|(c, rank)| Candidate { rank, score: 0.0, ..c });
-    grounding.candidates.extend(others);
+    let Decided { assessor, parsed, scores, beliefs } = decided;
+    grounding.candidates = candidates::choose(&assessor, &parsed, &scores, question.candidates, question.top_k);
     for candidate in &grounding.candidates {
         let name = || answer::described(&scene.instances[candidate.id.0 as usize - 1]);
         grounding.answer.candidate_names.entry(candidate.id.0).or_insert_with(name);
@@ -138,6 +144,8 @@ pub fn ground_with_context(
 struct Decided<'a> {
     assessor: Assessor<'a>,
     parsed: query::ParsedQuery,
+    /// By instance index.
+    scores: Vec<f32>,
     /// By instance index.
     beliefs: Vec<f32>,
 }
@@ -159,7 +167,7 @@ fn decided<'a>(scene: SceneView<'a>, question: &Question, mut parsed: query::Par
     let verdict = reasoner::builtin::decide(&mut assessor, &parsed);
     let total = start.elapsed();
     let timings_ms = answer::timings(reading, reading + prepared, reading + total);
-    let beliefs = verdict.beliefs.clone();
+    let (scores, beliefs) = (verdict.scores.clone(), verdict.beliefs.clone());
     let grounding = answer::assemble(scene, question, &parsed, verdict, timings_ms);
-    (Decided { assessor, parsed, beliefs }, grounding)
+    (Decided { assessor, parsed, scores, beliefs }, grounding)
 }

@@ -11,12 +11,12 @@ use super::appearance::{Appearance, ShortlistScoring};
 use super::query::{BuiltinParser, ParsedQuery, QueryParser, parse};
 use super::reasoner::builtin;
 pub use super::scene_source::{QuestionError, SceneSource};
-use super::vlm::{self, Conversation, Decision, MAX_CALLS, Options, Outcome, PictureSettings, Undecided, naming};
+use super::vlm::{self, Conversation, Decision, EvidenceMode, MAX_CALLS, Options, Outcome, PictureSettings, PromptVersion, Undecided, naming};
 use super::{Candidate, Grounding, Question, SceneView, decided, ground_with_context, rank_candidates};
 use crate::models::attributes;
 use crate::models::chat::{Budget, CallRecord, ChatModel, Session};
 use crate::models::neural::DualEncoder;
-use crate::scene::Embeddings;
+use crate::scene::{Embeddings, InstanceId};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -112,8 +112,9 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     let (grounding, context, used) = source
         .compute(move |source| {
             let (question, parsed) = decide;
-            let (appearance, used) = appearance(source, &question.query, &parsed, ShortlistScoring::default(), allow_builtin_encoder)?;
-            let scene = SceneView { instances: source.instances(), extent: source.extent(), appearance: appearance.as_ref() };
+            let scoring = ShortlistScoring { query_text: question.query_text, ..ShortlistScoring::default() };
+            let (appearance, used) = appearance(source, &question.query, &parsed, scoring, allow_builtin_encoder)?;
+            let scene = scene_view(source, appearance.as_ref());
             if !with_review {
                 return Ok((decided(scene, &question, parsed, took).1, None, used));
             }
@@ -155,6 +156,12 @@ async fn reviewed<S: SceneSource>(
     let mut names = if options.uses_names() { source.names().await? } else { BTreeMap::new() };
     names.retain(|id, _| context.is_candidate(*id));
     let known = names.clone();
+    let mut session = Session::new(model.as_ref(), budgets, MAX_CALLS.saturating_sub(calls.len() as u32));
+    let context = if options.prompt == PromptVersion::Paper { context.without_shown_anchors() } else { context };
+    let context = match options.evidence {
+        EvidenceMode::TwoStep => narrowed(source, context, &mut session).await?,
+        _ => context,
+    };
     let (context, evidence, unnamed) = source
         .compute(move |source| {
             let evidence = vlm::collect(source, &context, &PictureSettings::of(options.evidence))?;
@@ -166,7 +173,6 @@ async fn reviewed<S: SceneSource>(
         .await?;
     let evidence_took = start.elapsed().saturating_sub(before);
     let conversation = Conversation { context: &context, evidence: &evidence, options, names, unnamed };
-    let mut session = Session::new(model.as_ref(), budgets, MAX_CALLS.saturating_sub(calls.len() as u32));
     let decision = vlm::decide(&conversation, &mut session).await;
     let (Ok(Decision { new_names, .. }) | Err(Undecided { new_names, .. })) = &decision;
     if !new_names.is_empty() {
@@ -179,7 +185,7 @@ async fn reviewed<S: SceneSource>(
             // The geometry had to choose, because the model did not.
             answered.degraded |= matches!(decision.outcome, Outcome::Projected(_) | Outcome::Unknown);
             if decision.outcome != Outcome::Unknown {
-                answered.reasoner = vlm::reasoner_name(model.name());
+                answered.reasoner = vlm::reasoner_name(model.name(), options.prompt);
             }
             answered.corrections.extend(decision.corrections);
         }
@@ -195,6 +201,32 @@ async fn reviewed<S: SceneSource>(
     timings.reason += ms(total.saturating_sub(before).saturating_sub(evidence_took));
     timings.total = ms(total);
     Ok(())
+}
+
+/// The first of two steps: the candidates that remain when the model has seen one photograph of each. A call that fails is told by the
+/// next one, which will fail as well; where the model finds none, the best ones remain.
+async fn narrowed<S: SceneSource>(
+    source: &Arc<S>,
+    context: vlm::PromptContext,
+    session: &mut Session<'_>,
+) -> Result<vlm::PromptContext, S::Error> {
+    let (context, sheets) = source
+        .compute(move |source| {
+            let ids: Vec<InstanceId> = context.candidates.iter().map(|c| c.id).collect();
+            let sheets = vlm::contact_sheets(source, &ids)?;
+            Ok((context, vlm::VisualEvidence { sheets, ..vlm::VisualEvidence::default() }))
+        })
+        .await?;
+    let mut ids = vlm::narrow(&context, &sheets, session).await.unwrap_or_default();
+    if ids.is_empty() {
+        ids = context.candidates.iter().map(|c| c.id.0).take(vlm::REMAINING).collect();
+    }
+    Ok(context.narrowed_to(&ids))
+}
+
+/// A scene as stage 2 needs it.
+fn scene_view<'a, S: SceneSource>(source: &'a S, appearance: Option<&'a Appearance>) -> SceneView<'a> {
+    SceneView { instances: source.instances(), extent: source.extent(), names: source.name_index(), appearance }
 }
 
 /// Who compared pictures and words.
@@ -263,9 +295,9 @@ pub fn shortlist_of<S: SceneSource>(
     top_k: usize,
 ) -> Result<Shortlist, S::Error> {
     let (appearance, used) = appearance(source, query, parsed, scoring, allow_builtin_encoder)?;
-    let scene = SceneView { instances: source.instances(), extent: source.extent(), appearance: appearance.as_ref() };
+    let scene = scene_view(source, appearance.as_ref());
     let cut = appearance.as_ref().is_some_and(|appearance| appearance.cut);
-    Ok(Shortlist { candidates: rank_candidates(scene, parsed, top_k), encoder: used.name, cut })
+    Ok(Shortlist { candidates: rank_candidates(scene, parsed, scoring.from, top_k), encoder: used.name, cut })
 }
 
 #[cfg(test)]

@@ -1,5 +1,6 @@
 //! What the question pipeline needs of a scene, wherever it comes from.
 
+use super::names::NameIndex;
 use super::picture_cache::PictureCache;
 use crate::geometry::boxes::Aabb;
 use crate::models::chat::AskError;
@@ -17,6 +18,9 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
 
     /// In order of id, which counts from 1.
     fn instances(&self) -> &[Instance];
+
+    /// The names the instances were given, read.
+    fn name_index(&self) -> &NameIndex;
 
     /// Box of all points, metres, world frame.
     fn extent(&self) -> Aabb;

@@ -70,12 +70,16 @@ impl Aabb {
     #[must_use]
     #[inline]
     pub fn iou(&self, other: &Self) -> f32 {
+        let shared = self.shared_volume(other);
+        if shared > 0.0 { shared / (self.volume() + other.volume() - shared) } else { 0.0 }
+    }
+
+    /// Volume that lies in both boxes, cubic metres.
+    #[must_use]
+    #[inline]
+    pub fn shared_volume(&self, other: &Self) -> f32 {
         let overlap = self.max().inf(&other.max()) - self.min().sup(&other.min());
-        if overlap.iter().any(|&edge| edge <= 0.0) {
-            return 0.0;
-        }
-        let shared = overlap.x * overlap.y * overlap.z;
-        shared / (self.volume() + other.volume() - shared)
+        if overlap.iter().all(|&edge| edge > 0.0) { overlap.product() } else { 0.0 }
     }
 
     /// Shortest distance between the surfaces of two boxes, metres; 0 when they touch or overlap.

@@ -2,10 +2,8 @@
 
 use super::{Assessor, CARRIED, MAX_ANCHORS, unchecked};
 use crate::grounding::fit::{colours_fit, most_plausible};
-use crate::grounding::query::With;
+use crate::grounding::query::{Phrase, With};
 use crate::grounding::relations;
-use crate::models::attributes;
-use crate::scene::Instance;
 
 /// Share of its score that a thing keeps when it lacks what it should carry.
 const NOT_CARRIED: f32 = 0.1;
@@ -44,9 +42,9 @@ impl Assessor<'_> {
     pub(super) fn apply_with(&self, With { phrase, absent }: &With, scores: &mut [f32]) {
         let singular = |part: &str| phrase.head == part || phrase.head.strip_suffix('s') == Some(part);
         if let Some((_, of)) = PARTS.iter().find(|(part, _)| singular(part)) {
-            let known = |i: usize| of.is_empty() || of.iter().any(|noun| is_named(&self.scene.instances[i], noun));
+            let known = |i: usize| of.is_empty() || of.iter().any(|noun| self.is_named(i, noun));
             for (i, score) in scores.iter_mut().enumerate().filter(|(_, s)| **s > 0.0) {
-                let fit = colours_fit(phrase, &self.scene.instances[i]) * if known(i) { 1.0 } else { ODD_PART };
+                let fit = colours_fit(self.scene, phrase, i) * if known(i) { 1.0 } else { ODD_PART };
                 *score *= if *absent { 1.0 } else { fit };
             }
             return;
@@ -86,18 +84,20 @@ impl Assessor<'_> {
         }
         scores.iter_mut().zip(shares).for_each(|(score, share)| *score *= share);
     }
-}
 
-fn is_named(instance: &Instance, noun: &str) -> bool {
-    match &instance.given_name {
-        Some(given) => attributes::Lexicon::get().find(given).is_some_and(|own| own.name == noun),
-        None => instance.names.iter().any(|guess| guess.name == noun),
+    fn is_named(&self, index: usize, noun: &str) -> bool {
+        let phrase = || Phrase { head: noun.to_owned(), ..Phrase::default() };
+        match self.scene.names.get(index) {
+            Some(name) => name.fit(&phrase(), &phrase().meaning()) > 0.0,
+            None => self.scene.instances[index].names.iter().any(|guess| guess.name == noun),
+        }
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::models::attributes;
 
     #[test]
     fn things_with_parts_are_names_of_the_lexicon() {

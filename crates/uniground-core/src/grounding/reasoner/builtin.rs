@@ -9,8 +9,7 @@ use crate::grounding::assess::{Assessment, Assessor};
 use crate::grounding::direction::Directions;
 use crate::grounding::fit::{colours_fit, most_plausible};
 use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Quantity, Viewpoint};
-use crate::grounding::{NoMatchReason, Status};
-use crate::scene::Instance;
+use crate::grounding::{NoMatchReason, SceneView, Status};
 
 /// Name and version, recorded with answers.
 pub const NAME: &str = "builtin-3";
@@ -63,7 +62,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         };
         return no_match(assessment.own, reason, why_nothing_fits(parsed));
     }
-    if !colours_agree(&assessment, &parsed.target, instances) {
+    if !colours_agree(&assessment, &parsed.target, assessor.scene) {
         return no_match(assessment.own, NoMatchReason::Absent, why_nothing_fits(parsed));
     }
     let other = parsed.other_reading.as_ref().map(|phrase| assessor.assess(phrase));
@@ -80,10 +79,10 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
     // Green and of some size, but nothing that it measures like is a fridge. An encoder has weighed the names already.
-    if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !name_matches(&parsed.target, &instances[best]) {
+    if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !name_matches(assessor.scene, &parsed.target, best) {
         return no_match(scores, NoMatchReason::Absent, why_nothing_fits(parsed));
     }
-    let several = several(&scores, &order, parsed.quantity, &is_called(&parsed.target, instances));
+    let several = several(&scores, &order, parsed.quantity, &is_called(&parsed.target, assessor.scene));
     let tied: Vec<usize> = order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
     let status = if several.is_empty() && tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
     // The reading that won is the one to explain.
@@ -100,9 +99,8 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let mut beliefs = if parsed.quantity == Quantity::One { beliefs(&scores) } else { scores.clone() };
     let understood = if parsed.not_understood.is_empty() { 1.0 } else { NOT_ALL_UNDERSTOOD };
     let named = if parsed.target.meaning() == Meaning::Anything { NO_NOUN } else { 1.0 };
-    let encoder = assessor.scene.appearance.is_some();
-    for (belief, instance) in beliefs.iter_mut().zip(instances) {
-        *belief = understood * named * share_right(*belief, NamesFrom::of(instance, encoder));
+    for (i, belief) in beliefs.iter_mut().enumerate() {
+        *belief = understood * named * share_right(*belief, NamesFrom::of(assessor.scene, i));
     }
     Verdict {
         status,
@@ -113,7 +111,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         explanation,
         anchor: read.bonds.iter().find_map(|bond| bond[best].anchor).or(viewpoint.map(|v| instances[v].id)),
         relation_used: relation_words(phrase),
-        target_name_matches: Some(name_matches(&parsed.target, &instances[best])),
+        target_name_matches: Some(name_matches(assessor.scene, &parsed.target, best)),
     }
 }
 
@@ -149,9 +147,9 @@ fn look(assessor: &mut Assessor, viewpoint: &Viewpoint, standpoint: Option<&Phra
 }
 
 /// Whether any of the things that may be meant has the colours asked for; a related colour alone ("orange" for yellow) is not enough.
-fn colours_agree(assessment: &Assessment, target: &Phrase, instances: &[Instance]) -> bool {
+fn colours_agree(assessment: &Assessment, target: &Phrase, scene: SceneView) -> bool {
     let likely = most_plausible(&assessment.nouns, usize::MAX);
-    target.colours.is_empty() || likely.iter().any(|&(i, _)| colours_fit(target, &instances[i]) >= MIN_COLOUR)
+    target.colours.is_empty() || likely.iter().any(|&(i, _)| colours_fit(scene, target, i) >= MIN_COLOUR)
 }
 
 /// The better of the two readings, instance by instance.
@@ -210,22 +208,23 @@ fn beliefs(scores: &[f32]) -> Vec<f32> {
         .collect()
 }
 
-/// Whether one of the instance's names is a noun the phrase may mean.
-fn name_matches(target: &Phrase, instance: &Instance) -> bool {
-    match target.meaning() {
-        Meaning::Anything => true,
-        Meaning::Structure(structure) => instance.structure == Some(structure),
-        Meaning::Nouns(nouns) => instance.names.iter().any(|guess| nouns.iter().any(|noun| noun.name == guess.name)),
-        Meaning::Unknown => instance.given_name.is_some(),
+/// Whether the name of the instance at an index, or one of its guesses, is what the phrase may mean.
+fn name_matches(scene: SceneView, target: &Phrase, index: usize) -> bool {
+    match (target.meaning(), scene.names.get(index)) {
+        (Meaning::Anything, _) => true,
+        (Meaning::Structure(structure), _) if scene.instances[index].structure == Some(structure) => true,
+        (meaning, Some(name)) => name.fit(target, &meaning) > 0.0,
+        (Meaning::Nouns(nouns), None) => scene.instances[index].names.iter().any(|guess| nouns.iter().any(|noun| noun.name == guess.name)),
+        (_, None) => false,
     }
 }
 
-/// Whether an instance's name, given or first among its guesses, is what the phrase may mean.
-fn is_called<'a>(target: &Phrase, instances: &'a [Instance]) -> impl Fn(usize) -> bool + 'a {
+/// Whether the name of the instance at an index, given or first among its guesses, is what the phrase may mean.
+fn is_called<'a>(target: &Phrase, scene: SceneView<'a>) -> impl Fn(usize) -> bool + 'a {
     let meaning = target.meaning();
     move |i| match &meaning {
-        Meaning::Nouns(nouns) if instances[i].given_name.is_none() => {
-            instances[i].names.first().is_some_and(|guess| nouns.iter().any(|noun| noun.name == guess.name))
+        Meaning::Nouns(nouns) if scene.names.get(i).is_none() => {
+            scene.instances[i].names.first().is_some_and(|guess| nouns.iter().any(|noun| noun.name == guess.name))
         }
         _ => true,
     }
@@ -237,9 +236,9 @@ mod tests {
     use crate::geometry::boxes::Aabb;
     use crate::geometry::{Point3, Vector3};
     use crate::grounding::direction::{DirectionConvention, Observer};
-    use crate::grounding::{Grounding, Question, SceneView, Timings, ground};
+    use crate::grounding::{Grounding, NameIndex, Question, SceneView, Timings, ground};
     use crate::models::attributes::{self, tests::thing};
-    use crate::scene::{InstanceId, Structure, Support};
+    use crate::scene::{Instance, InstanceId, Structure, Support};
 
     /// A small room: two sofas, a table with two mugs, a rug.
     fn room() -> Vec<Instance> {
@@ -260,7 +259,7 @@ mod tests {
         let instances = room();
         let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
         let question = Question { convention, observer, ..Question::of(query) };
-        ground(SceneView { instances: &instances, extent, appearance: None }, &question)
+        ground(SceneView { instances: &instances, extent, names: &NameIndex::default(), appearance: None }, &question)
     }
 
     fn ask(query: &str) -> Grounding {
@@ -360,7 +359,7 @@ mod tests {
         instances.extend([wall, books, clock]);
         instances.iter_mut().for_each(|i| i.names = attributes::name_guesses(i));
         let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-        let scene = SceneView { instances: &instances, extent, appearance: None };
+        let scene = SceneView { instances: &instances, extent, names: &NameIndex::default(), appearance: None };
         let answer = ground(scene, &Question::of("the highest thing hanging on the wall"));
         assert_eq!(answer.answer.predicted_id, Some(InstanceId(9)), "{}", answer.answer.explanation);
     }
@@ -373,7 +372,7 @@ mod tests {
         instances.push(chair);
         instances.iter_mut().for_each(|i| i.names = attributes::name_guesses(i));
         let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-        let scene = SceneView { instances: &instances, extent, appearance: None };
+        let scene = SceneView { instances: &instances, extent, names: &NameIndex::default(), appearance: None };
         let id = |query: &str| ground(scene, &Question::of(query)).answer.predicted_id.map(|id| id.0);
         assert_eq!(id("sitting at the table, the mug on the left"), Some(5));
         assert_eq!(id("facing the table, the mug on the left"), Some(4), "from the middle of the room");

@@ -2,7 +2,7 @@
 //!
 //! `confidence.tsv` is fitted by `scripts/fit-confidence.py` to the answers of `uniground eval`.
 
-use crate::scene::Instance;
+use crate::grounding::SceneView;
 use std::sync::LazyLock;
 
 /// Who tells what a thing is called.
@@ -17,11 +17,11 @@ pub(super) enum NamesFrom {
 }
 
 impl NamesFrom {
-    /// Of an instance, in a scene that an encoder has seen or not.
-    pub fn of(instance: &Instance, encoder: bool) -> Self {
-        match instance.given_name {
+    /// Of the instance at an index.
+    pub fn of(scene: SceneView, index: usize) -> Self {
+        match scene.names.get(index) {
             Some(_) => Self::Given,
-            None if encoder => Self::Encoder,
+            None if scene.appearance.is_some() => Self::Encoder,
             None => Self::Measures,
         }
     }

@@ -19,7 +19,7 @@ pub(super) fn explain(assessor: &Assessor, phrase: &Phrase, read: &Assessment, b
     let taken = match (&phrase.head, phrase.uses.is_empty()) {
         (_, false) => format!("is {}", phrase.text()),
         (head, true) if head.is_empty() => "is a thing".into(),
-        (head, true) if instance.given_name.is_some() => format!("is named as \"{head}\""),
+        (head, true) if assessor.scene.names.get(best).is_some() => format!("is named as \"{head}\""),
         (head, true) => format!("is taken for \"{head}\""),
     };
     let _ = write!(text, " {taken} ({:.2})", read.nouns[best]);
@@ -28,7 +28,7 @@ pub(super) fn explain(assessor: &Assessor, phrase: &Phrase, read: &Assessment, b
     }
     if !phrase.other_than.is_empty() {
         let names: Vec<_> = phrase.other_than.iter().map(|c| c.word()).collect();
-        let _ = write!(text, ", is not {} ({:.2})", names.join(" or "), colours_fit(phrase, instance));
+        let _ = write!(text, ", is not {} ({:.2})", names.join(" or "), colours_fit(assessor.scene, phrase, best));
     }
     let rivals = || most_plausible(&read.own, usize::MAX).len();
     for (relation, bonds) in phrase.relations.iter().zip(&read.bonds) {

@@ -2,35 +2,14 @@
 
 use super::PromptContext;
 use super::reply::Reply;
-use crate::grounding::fit::given_name_fit;
-use crate::grounding::query::{self, Meaning, Phrase};
+use crate::grounding::GivenName;
+use crate::grounding::query::{Meaning, Phrase};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Whether a name somebody gave means what a phrase asks for: "window with an air conditioner" is a window.
 pub(super) fn matches(name: &str, target: &Phrase) -> bool {
     let meaning = target.meaning();
-    if meaning == Meaning::Anything {
-        return true;
-    }
-    let named = query::parse(name).target;
-    if given_name_fit(&named.head, target, &meaning) > 0.0 {
-        return true;
-    }
-    // A noun the lexicon does not know, or a name the grammar can not take apart: the very word, before anything the object is next to.
-    let wanted = target.head.split_whitespace().next_back().unwrap_or_default();
-    !wanted.is_empty() && main_words(name).any(|word| singular(&word) == singular(wanted))
-}
-
-/// Words of a name up to the first that leads to another thing.
-fn main_words(name: &str) -> impl Iterator<Item = String> {
-    const ELSEWHERE: [&str; 14] =
-        ["with", "under", "on", "in", "near", "next", "behind", "beside", "above", "below", "against", "at", "by", "beneath"];
-    let words = name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).map(str::to_lowercase);
-    words.take_while(|word| !ELSEWHERE.contains(&word.as_str())).collect::<Vec<_>>().into_iter()
-}
-
-fn singular(word: &str) -> &str {
-    word.strip_suffix('s').filter(|rest| rest.len() > 2).unwrap_or(word)
+    meaning == Meaning::Anything || GivenName::read(name).is_some_and(|name| name.fit(target, &meaning) > 0.0)
 }
 
 /// Candidates whose names match the target.
@@ -85,7 +64,7 @@ fn told_apart(target: &Phrase, namesakes: &[u32], names: &BTreeMap<u32, String>)
         return by_place;
     }
     // "The green chair" among a green and two blue ones: their names say it.
-    let says = |id: &&u32| looks.iter().all(|word| main_words(&names[*id]).any(|w| w == *word));
+    let says = |id: &&u32| GivenName::read(&names[*id]).is_some_and(|name| looks.iter().all(|word| name.says(word)));
     let said_by = namesakes.iter().filter(says).count();
     let by_names = !looks.is_empty() && target.other_than.is_empty() && target.with.is_empty();
     by_names && (said_by == 1 || said_by > 1 && by_place)
@@ -94,6 +73,7 @@ fn told_apart(target: &Phrase, namesakes: &[u32], names: &BTreeMap<u32, String>)
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::grounding::query;
 
     fn target(query: &str) -> Phrase {
         query::parse(query).target

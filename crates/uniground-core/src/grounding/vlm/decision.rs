@@ -1,10 +1,10 @@
 //! What came of a conversation, and the answer it makes.
 
 use super::consistency::matches;
-use super::reply::{Choice, Field, Reply};
+use super::reply::{Choice, Field, Reply, SeenAt};
 use super::{PromptCandidate, PromptContext};
 use crate::grounding::answer::target;
-use crate::grounding::{Alternative, Grounding, NoMatchReason, Status};
+use crate::grounding::{Alternative, Grounding, NoMatchReason, Seen, Status};
 use crate::models::chat::AskError;
 use crate::scene::{Instance, InstanceId};
 use std::collections::BTreeMap;
@@ -16,6 +16,8 @@ pub enum Outcome {
     Chosen(InstanceId),
     /// The model says that nothing fits.
     Nothing,
+    /// The model sees the object, but not among what it may choose; the decision's `seen` says where, if it told.
+    NotListed,
     /// The model never chose a candidate, however often it was asked; what it meant is taken for this one (Algorithm 1, line 13).
     Projected(InstanceId),
     /// The model never said anything that can be used: the geometry's answer stands.
@@ -34,6 +36,8 @@ pub struct Decision {
     pub names: BTreeMap<u32, String>,
     /// Names given without regard to the question, to be kept.
     pub new_names: BTreeMap<u32, String>,
+    /// Where the object is seen that is not listed.
+    pub seen: Option<Seen>,
     /// What was wrong on the way, in order.
     pub corrections: Vec<String>,
 }
@@ -46,13 +50,16 @@ const SAME_THING: f32 = 0.25;
 
 impl Decision {
     /// Takes a reply in, if it says more than what is known.
-    pub(super) fn take(&mut self, reply: Reply, context: &PromptContext) {
+    pub(super) fn take(&mut self, reply: Reply, context: &PromptContext, sent: &[String]) {
         let outcome = match reply.predicted {
             Choice::Id(id) if context.is_candidate(id) => Outcome::Chosen(InstanceId(id)),
             Choice::Nothing => Outcome::Nothing,
+            Choice::NotListed => Outcome::NotListed,
             Choice::Id(_) | Choice::Contradiction(..) | Choice::Missing => Outcome::Unknown,
         };
         if outcome != Outcome::Unknown || self.outcome == Outcome::Unknown {
+            let seen = |at: &SeenAt| Some(Seen { picture: sent.get(at.image - 1)?.clone(), at: at.at, name: at.name.clone() });
+            self.seen = reply.seen_at.as_ref().and_then(seen);
             (self.outcome, self.reply) = (outcome, reply);
         }
     }
@@ -108,7 +115,7 @@ impl Decision {
         }
         let chosen = match self.outcome {
             Outcome::Chosen(id) | Outcome::Projected(id) => instances.get(id.0 as usize - 1),
-            Outcome::Nothing => None,
+            Outcome::Nothing | Outcome::NotListed => None,
             Outcome::Unknown => return,
         };
         let projected = matches!(self.outcome, Outcome::Projected(_));
@@ -134,7 +141,9 @@ impl Decision {
         let belief = |id: InstanceId| context.candidates.iter().find(|c| c.id == id).map_or(0.0, |c| c.belief);
         answer.predicted_id = chosen.map(|i| i.id);
         answer.target_name_matches = chosen.and(self.reply.target_name_matches);
-        grounding.no_match_reason = chosen.is_none().then_some(NoMatchReason::NoneSeen);
+        let reason = if self.outcome == Outcome::NotListed { NoMatchReason::NotListed } else { NoMatchReason::NoneSeen };
+        grounding.no_match_reason = chosen.is_none().then_some(reason);
+        grounding.seen = self.seen.clone().filter(|_| self.outcome == Outcome::NotListed);
         grounding.status = if chosen.is_some() { Status::Grounded } else { Status::NoMatch };
         (grounding.aabb, grounding.oriented_box) = (chosen.map(|i| i.aabb), chosen.map(|i| i.oriented_box));
         grounding.confidence = match chosen {

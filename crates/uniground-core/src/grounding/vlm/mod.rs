@@ -17,12 +17,12 @@ pub mod reply;
 mod visual_evidence;
 
 pub use decision::{Decision, Outcome};
-pub use prompt::reasoner_name;
+pub use prompt::{REMAINING, reasoner_name};
 pub use prompt_context::{PromptAnchor, PromptCandidate, PromptContext};
-pub use uniground_types::question::{Ablation, EvidenceMode};
-pub use visual_evidence::{PictureSettings, VisualEvidence, collect};
+pub use uniground_types::question::{Ablation, EvidenceMode, PromptVersion};
+pub use visual_evidence::{PictureSettings, VisualEvidence, collect, contact_sheets};
 
-use crate::models::chat::{AskError, ChatRequest, Picture, Session};
+use crate::models::chat::{AskError, ChatRequest, Part, Picture, Session};
 use prompt::Correction;
 use reply::{Choice, Reply};
 use std::collections::BTreeMap;
@@ -37,6 +37,8 @@ pub struct Options {
     pub ablation: Ablation,
     /// Whether photographs of all candidates are sent, or names in their place.
     pub evidence: EvidenceMode,
+    /// What the model is told.
+    pub prompt: PromptVersion,
     /// Ask for JSON by schema instead of six lines.
     pub json: bool,
 }
@@ -87,6 +89,7 @@ pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) 
     let mut request = prompt::spatial(conversation, &shown, &names);
     let (mut purpose, mut looked_again) = ("spatial", false);
     loop {
+        let sent = pictures_of(&request);
         let text = match session.ask(purpose, request).await {
             Ok(text) => text,
             Err(error) if decision.settle(&error) => break,
@@ -105,7 +108,7 @@ pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) 
                 .map(|(id, name)| (*id, name.clone())),
         );
         let correction = wrong_with(&reply, context, &names, looked_again);
-        decision.take(reply, context);
+        decision.take(reply, context, &sent);
         let Some(correction) = correction else { break };
         decision.corrections.push(told(&correction));
         if session.calls_left() == 0 {
@@ -142,12 +145,15 @@ impl Conversation<'_> {
         let mut shown = self.evidence.clone();
         match self.options.ablation {
             Ablation::NoGlobal => shown.global = None,
-            Ablation::NoCandidate => shown.collages.clear(),
+            Ablation::NoCandidate => {
+                shown.collages.clear();
+                shown.sheets.clear();
+            }
             Ablation::Full | Ablation::SimplePrompt => {}
         }
         if self.options.uses_names() {
             let needed = consistency::to_be_looked_at(self.context, names);
-            shown.collages.retain(|id, _| needed.contains(id));
+            shown.collages.retain(|id, _| needed.contains(id) || self.context.is_shown_anchor(*id));
         }
         shown
     }
@@ -157,17 +163,38 @@ impl Conversation<'_> {
         match correction {
             Correction::Inconsistent { id, .. } => {
                 let of_chosen = self.evidence.collages.get_key_value(id).filter(|_| self.options.ablation != Ablation::NoCandidate);
-                VisualEvidence { global: shown.global.clone(), collages: of_chosen.map(|(id, p)| (*id, p.clone())).into_iter().collect() }
+                let collages = of_chosen.map(|(id, p)| (*id, p.clone())).into_iter().collect();
+                VisualEvidence { global: shown.global.clone(), collages, sheets: shown.sheets.clone() }
             }
             Correction::OutOfSet { .. } | Correction::Unreadable { .. } => shown.clone(),
         }
     }
 }
 
+/// Names of the pictures in a request, in order.
+fn pictures_of(request: &ChatRequest) -> Vec<String> {
+    let name = |part: &Part| match part {
+        Part::Picture(picture) => Some(picture.name.clone()),
+        Part::Text(_) => None,
+    };
+    request.user.iter().filter_map(name).collect()
+}
+
+/// Asks which of many candidates, shown on contact sheets, may be meant: at most three, the likeliest first.
+///
+/// # Errors
+/// [`AskError`]: the call failed.
+pub async fn narrow(context: &PromptContext, evidence: &VisualEvidence, session: &mut Session<'_>) -> Result<Vec<u32>, AskError> {
+    let text = session.ask("sheet", prompt::narrowing(context, evidence)).await?;
+    let mut ids = reply::shortlist(&text, |id| context.is_candidate(id));
+    ids.truncate(prompt::REMAINING);
+    Ok(ids)
+}
+
 /// What is to be asked again, and why.
 fn wrong_with(reply: &Reply, context: &PromptContext, names: &BTreeMap<u32, String>, looked_again: bool) -> Option<Correction> {
     match reply.predicted {
-        Choice::Nothing => None,
+        Choice::Nothing | Choice::NotListed => None,
         Choice::Missing => Some(Correction::Unreadable { why: "no \"Predicted ID\" could be read".into() }),
         Choice::Contradiction(a, b) if a == b => Some(Correction::Unreadable { why: format!("the ID is both {a} and none") }),
         Choice::Contradiction(a, b) => Some(Correction::Unreadable { why: format!("the ID is both {a} and {b}") }),

@@ -2,6 +2,7 @@
 
 use super::reply;
 use super::visual_evidence::encoded;
+use crate::grounding::GivenName;
 use crate::grounding::scene_source::SceneSource;
 use crate::models::chat::{ChatRequest, Part, Picture};
 use crate::render::{Shot, mosaic};
@@ -10,6 +11,12 @@ use std::collections::BTreeMap;
 
 /// Raised when what models are told to name instances changes: names given before are asked for again.
 pub const NAMING_VERSION: u32 = 1;
+
+/// Name and version of a model as it names instances, recorded with answers.
+#[must_use]
+pub fn namer(model: &str) -> String {
+    format!("{model} (naming {NAMING_VERSION})")
+}
 
 /// Instances on one sheet: 4 x 3 tiles of 256 pixels are four of a provider's tiles.
 pub const PER_SHEET: usize = 12;
@@ -25,6 +32,11 @@ const MAX_NAME_CHARS: usize = 80;
 /// # Errors
 /// The cloud can not be read.
 pub fn sheet_of<S: SceneSource>(source: &S, number: usize, ids: &[InstanceId]) -> Result<Option<(Picture, Vec<u32>)>, S::Error> {
+    contact_sheet(source, format!("names-{number}"), ids)
+}
+
+/// One photograph of each instance on a sheet of this name, and the ids on it.
+pub(super) fn contact_sheet<S: SceneSource>(source: &S, name: String, ids: &[InstanceId]) -> Result<Option<(Picture, Vec<u32>)>, S::Error> {
     if ids.is_empty() {
         return Ok(None);
     }
@@ -34,12 +46,12 @@ pub fn sheet_of<S: SceneSource>(source: &S, number: usize, ids: &[InstanceId]) -
         .filter_map(|&id| Some((id, source.shots(id, 1, &render_scene).into_iter().next()?)))
         .collect();
     let seen = shots.iter().map(|(id, _)| id.0).collect();
-    Ok((!shots.is_empty()).then(|| (sheet(number, &shots), seen)))
+    Ok((!shots.is_empty()).then(|| (sheet(name, &shots), seen)))
 }
 
-fn sheet(number: usize, shots: &[(InstanceId, Shot)]) -> Picture {
+fn sheet(name: String, shots: &[(InstanceId, Shot)]) -> Picture {
     let tiles: Vec<_> = shots.iter().map(|(id, shot)| (id.0, shot.crop.clone())).collect();
-    encoded(format!("names-{number}"), &mosaic(&tiles, COLUMNS.min(tiles.len() as u32), TILE_PX))
+    encoded(name, &mosaic(&tiles, COLUMNS.min(tiles.len() as u32), TILE_PX))
 }
 
 /// The question for one sheet.
@@ -48,8 +60,10 @@ pub fn request(sheet: Picture, ids: &[u32]) -> ChatRequest {
     let list = ids.iter().map(|id| format!("ID {id}")).collect::<Vec<_>>().join(", ");
     let text = format!(
         "The image shows one object per tile, cut from pictures of a room, each under its ID: {list}. Give each a descriptive name of \
-         three to eight words: the noun, with its colour, material or shape. Name what fills the middle of the tile. Answer with one \
-         line per object, nothing else:\nID -> name"
+         three to eight words: the noun, with its colour, material or shape. Name what fills the middle of the tile. A wall, floor or \
+         ceiling, or a piece of one, is \"structure: \" and its name. What is only a part of a thing is \"part of \" and that thing's \
+         name. Say \"unclear\" where you can not tell, and \"not a thing\" where there is none. Answer with one line per object, nothing \
+         else:\nID -> name"
     );
     ChatRequest { system: SYSTEM.into(), user: vec![Part::Picture(sheet), Part::Text(text)], schema: None }
 }
@@ -59,8 +73,9 @@ pub fn request(sheet: Picture, ids: &[u32]) -> ChatRequest {
 #[must_use]
 pub fn read(text: &str, ids: &[u32]) -> BTreeMap<u32, String> {
     let mut names = reply::names_in(text);
-    names.retain(|id, name| ids.contains(id) && name.chars().count() <= MAX_NAME_CHARS);
-    if !names.is_empty() {
+    let told = names.keys().any(|id| ids.contains(id));
+    names.retain(|id, name| ids.contains(id) && name.chars().count() <= MAX_NAME_CHARS && GivenName::read(name).is_some());
+    if told {
         for id in ids {
             names.entry(*id).or_default();
         }

@@ -23,6 +23,8 @@ pub struct PromptContext {
     pub candidates: Vec<PromptCandidate>,
     /// The geometry's guesses, and the prompt says that they are.
     pub anchors: Vec<PromptAnchor>,
+    /// Anchors that are no candidates but are shown like them, and may be chosen.
+    pub(super) shown_anchors: Vec<InstanceId>,
     /// Axis-aligned boxes of every instance, in order of id.
     pub(super) boxes: Vec<Aabb>,
     pub(super) directions: Directions,
@@ -52,7 +54,14 @@ pub struct PromptAnchor {
     pub id: InstanceId,
     /// Axis-aligned box, metres, world frame (Z up).
     pub aabb: Aabb,
+    /// Other instances it may be, best first.
+    pub alternatives: Vec<InstanceId>,
 }
+
+/// Anchors that are shown beside the candidates.
+const MAX_SHOWN_ANCHORS: usize = 2;
+/// Other instances told for an anchor.
+const MAX_ALTERNATIVES: usize = 2;
 
 impl PromptContext {
     /// `assessor` has the directions the question is read in; `grounding` the candidates.
@@ -63,11 +72,17 @@ impl PromptContext {
         phrases.extend(parsed.standpoint.as_ref());
         let mut anchors: Vec<PromptAnchor> = Vec::new();
         for phrase in phrases {
-            let Some(instance) = assessor.best(phrase).map(|i| &assessor.scene.instances[i]) else { continue };
+            let likely = assessor.likely(phrase, 1 + MAX_ALTERNATIVES);
+            let Some((&first, others)) = likely.split_first() else { continue };
+            let instance = &assessor.scene.instances[first];
             if anchors.iter().all(|a| a.id != instance.id) {
-                anchors.push(PromptAnchor { words: phrase.text(), id: instance.id, aabb: instance.aabb });
+                let alternatives = others.iter().map(|&i| assessor.scene.instances[i].id).collect();
+                anchors.push(PromptAnchor { words: phrase.text(), id: instance.id, aabb: instance.aabb, alternatives });
             }
         }
+        let is_candidate = |id: InstanceId| grounding.candidates.iter().any(|c| c.id == id);
+        let others = anchors.iter().map(|a| a.id).filter(|id| !is_candidate(*id));
+        let shown_anchors = others.take(MAX_SHOWN_ANCHORS).collect();
         let directions = assessor.directions;
         let seen_by = match &parsed.viewpoint {
             Some(viewpoint) if directions.of_somebody && assessor.best(&viewpoint.anchor).is_some() => {
@@ -86,6 +101,7 @@ impl PromptContext {
                 .map(|c| PromptCandidate { id: c.id, score: c.score, belief: beliefs[c.id.0 as usize - 1], aabb: c.aabb })
                 .collect(),
             anchors,
+            shown_anchors,
             boxes: assessor.scene.instances.iter().map(|i| i.aabb).collect(),
             directions,
             seen_by,
@@ -103,10 +119,40 @@ impl PromptContext {
         without.collect()
     }
 
-    /// Whether an id, as a model gives it, is one of the candidates'.
+    /// Whether an id, as a model gives it, is one of those it may choose.
     #[must_use]
     pub fn is_candidate(&self, id: u32) -> bool {
-        self.candidates.iter().any(|c| c.id.0 == id)
+        self.shown().any(|shown| shown.0 == id)
+    }
+
+    /// What the model is shown by itself and may choose: candidates, then anchors.
+    pub fn shown(&self) -> impl Iterator<Item = InstanceId> {
+        self.candidates.iter().map(|c| c.id).chain(self.shown_anchors.iter().copied())
+    }
+
+    /// Whether it is an anchor that is shown beside the candidates.
+    #[must_use]
+    pub(super) fn is_shown_anchor(&self, id: u32) -> bool {
+        self.shown_anchors.iter().any(|anchor| anchor.0 == id)
+    }
+
+    /// Whether right and front are those of somebody who looks from the front to the back. The paper's left and right are not.
+    pub(super) fn is_of_a_viewer(&self) -> bool {
+        let Directions { right, front, .. } = self.directions;
+        (-front).cross(&Vector3::z()).dot(&right) > 0.0
+    }
+
+    /// As the paper has it: anchors are told, not shown, and no answer.
+    #[must_use]
+    pub fn without_shown_anchors(self) -> Self {
+        Self { shown_anchors: Vec::new(), ..self }
+    }
+
+    /// With these candidates only, in their order.
+    #[must_use]
+    pub fn narrowed_to(&self, ids: &[u32]) -> Self {
+        let candidates = self.candidates.iter().filter(|c| ids.contains(&c.id.0)).cloned().collect();
+        Self { candidates, ..self.clone() }
     }
 
     /// The six direction words and what they mean here. Named by the axis where they lie along one.
@@ -125,7 +171,8 @@ impl PromptContext {
             style: if is_anchor(c.id) { BoxStyle::Anchor } else { BoxStyle::Candidate },
         };
         let anchor = |a: &PromptAnchor| LabelledBox { aabb: a.aabb, label: format!("{} anchor", a.id), style: BoxStyle::Anchor };
-        let others = self.anchors.iter().filter(|a| !self.is_candidate(a.id.0)).map(anchor);
+        let listed = |id: InstanceId| self.candidates.iter().any(|c| c.id == id);
+        let others = self.anchors.iter().filter(|a| !listed(a.id)).map(anchor);
         let mut boxes: Vec<LabelledBox> = self.candidates.iter().rev().map(candidate).chain(others).collect();
         boxes.sort_by_key(|b| b.style == BoxStyle::Anchor);
         let centers = self.candidates.iter().map(|c| c.aabb.center.coords).sum::<Vector3<f32>>() / self.candidates.len().max(1) as f32;

@@ -19,6 +19,8 @@ pub enum Choice {
     Id(u32),
     /// The model says that no candidate fits.
     Nothing,
+    /// The model sees the object, but not among the candidates.
+    NotListed,
     /// Two ids that contradict each other.
     Contradiction(u32, u32),
     /// No id could be read.
@@ -41,11 +43,24 @@ pub struct Reply {
     pub anchor_id: Option<u32>,
     /// "Relation used"; `None` for "none" as well.
     pub relation_used: Option<String>,
+    /// "Seen at": where the object is seen that is not listed.
+    pub seen_at: Option<SeenAt>,
     /// Fields of which nothing could be made.
     pub not_read: Vec<&'static str>,
 }
 
-/// One of the six fields.
+/// A place in a picture that a model was shown.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SeenAt {
+    /// From 1, in the order the pictures were sent.
+    pub image: usize,
+    /// From the left and the upper rim, shares of the picture's width and height, `0..=1`.
+    pub at: [f32; 2],
+    /// What is seen there.
+    pub name: String,
+}
+
+/// One of the six fields, or the place that goes with "not listed".
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub(in crate::grounding::vlm) enum Field {
     PredictedId,
@@ -54,9 +69,11 @@ pub(in crate::grounding::vlm) enum Field {
     TargetNameMatches,
     AnchorId,
     RelationUsed,
+    SeenAt,
 }
 
 impl Field {
+    /// The six that every reply has.
     pub const ALL: [Self; 6] =
         [Self::PredictedId, Self::Explanation, Self::CandidateNames, Self::TargetNameMatches, Self::AnchorId, Self::RelationUsed];
 
@@ -69,6 +86,7 @@ impl Field {
             Self::TargetNameMatches => "Target name matches?",
             Self::AnchorId => "Anchor ID",
             Self::RelationUsed => "Relation used",
+            Self::SeenAt => "Seen at",
         }
     }
 }
@@ -132,6 +150,7 @@ fn of_labels(text: &str) -> Reply {
             Field::TargetNameMatches => reply.target_name_matches = reply.target_name_matches.or_else(|| truth(value)),
             Field::AnchorId => reply.anchor_id = reply.anchor_id.or_else(|| anchor(value)),
             Field::RelationUsed => reply.relation_used = reply.relation_used.or_else(|| words(value).filter(|w| !is_nothing(w))),
+            Field::SeenAt => reply.seen_at = reply.seen_at.or_else(|| seen_at(value)),
         }
     }
     let told = |field: Field| fields.iter().any(|(f, _)| *f == field);
@@ -149,6 +168,8 @@ impl Reply {
             Field::TargetNameMatches => self.target_name_matches.is_some(),
             // "unknown" is an answer.
             Field::AnchorId | Field::RelationUsed => told(field),
+            // Most replies have none.
+            Field::SeenAt => true,
         };
         self.not_read = Field::ALL.into_iter().filter(|field| !read(*field)).map(Field::title).collect();
     }
@@ -203,7 +224,9 @@ fn joined(before: Choice, now: Choice) -> Choice {
     match (before, now) {
         (Choice::Missing, now) => now,
         (Choice::Id(a), Choice::Id(b)) if a != b => Choice::Contradiction(a, b),
-        (Choice::Id(a), Choice::Nothing) | (Choice::Nothing, Choice::Id(a)) => Choice::Contradiction(a, a),
+        (Choice::Id(a), Choice::Nothing | Choice::NotListed) | (Choice::Nothing | Choice::NotListed, Choice::Id(a)) => {
+            Choice::Contradiction(a, a)
+        }
         (before, _) => before,
     }
 }
@@ -221,6 +244,9 @@ pub(super) fn choice(value: &str) -> Choice {
         .find_map(|word| prefix(rest, word))
     {
         rest = stripped(after);
+    }
+    if is_not_listed(rest) {
+        return Choice::NotListed;
     }
     if is_nothing(rest) {
         return Choice::Nothing;
@@ -302,6 +328,29 @@ fn is_nothing(value: &str) -> bool {
     }
 }
 
+/// Whether a value says that the object is seen, but not among the candidates.
+fn is_not_listed(value: &str) -> bool {
+    let value = value.to_ascii_lowercase();
+    ["not listed", "not_listed", "unlisted", "visible, not listed", "visible but not listed"].iter().any(|words| value.starts_with(words))
+}
+
+/// "Image 3, 512, 640, black alarm clock": three numbers and a name.
+pub(super) fn seen_at(value: &str) -> Option<SeenAt> {
+    const PER_MILLE: f32 = 1000.0;
+    let line = value.lines().map(str::trim).find(|line| !line.is_empty())?;
+    let mut numbers = Vec::new();
+    let mut rest = line;
+    while numbers.len() < 3 {
+        let start = rest.find(|c: char| c.is_ascii_digit())?;
+        let end = rest[start..].find(|c: char| !c.is_ascii_digit() && c != '.').map_or(rest.len(), |length| start + length);
+        numbers.push(rest[start..end].trim_end_matches('.').parse::<f32>().ok()?);
+        rest = &rest[end..];
+    }
+    let at = [numbers[1] / PER_MILLE, numbers[2] / PER_MILLE];
+    let name = words(rest.trim_start_matches(|c: char| !c.is_alphanumeric())).unwrap_or_default();
+    (numbers[0] >= 1.0 && at.iter().all(|share| (0.0..=1.0).contains(share))).then(|| SeenAt { image: numbers[0] as usize, at, name })
+}
+
 /// Words without what Markdown put around them; `None` when there are none.
 pub(super) fn words(value: &str) -> Option<String> {
     let ends = |c: char| c.is_whitespace() || matches!(c, '*' | '_' | '`' | '|' | '#' | ',' | ';');
@@ -324,8 +373,23 @@ pub(super) fn anchor(value: &str) -> Option<u32> {
     match choice(value) {
         // "20, 31": the first of several anchors.
         Choice::Id(id) | Choice::Contradiction(id, _) => Some(id),
-        Choice::Nothing | Choice::Missing => None,
+        Choice::Nothing | Choice::NotListed | Choice::Missing => None,
     }
+}
+
+/// The ids of a shortlist, in order and each once, of those that may be on it.
+#[must_use]
+pub fn shortlist(text: &str, is_candidate: impl Fn(u32) -> bool) -> Vec<u32> {
+    let text = normalised(text);
+    let text = without_thoughts(&text);
+    let line = text.lines().rev().find(|line| line.to_ascii_lowercase().contains("shortlist")).unwrap_or(text);
+    let mut ids = Vec::new();
+    for number in line.split(|c: char| !c.is_ascii_digit()).filter_map(|digits| digits.parse().ok()) {
+        if is_candidate(number) && !ids.contains(&number) {
+            ids.push(number);
+        }
+    }
+    ids
 }
 
 /// The one id written as "ID 7" in a reply that was asked for no format; `None` when there are several, or none.

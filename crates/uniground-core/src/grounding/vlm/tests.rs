@@ -2,7 +2,7 @@ use super::*;
 use crate::geometry::boxes::Aabb;
 use crate::geometry::{Point3, Vector3};
 use crate::grounding::direction::Observer;
-use crate::grounding::{Grounding, Question, SceneView, Status, ground_with_context, query};
+use crate::grounding::{Grounding, NameIndex, Question, SceneView, Status, ground_with_context, query};
 use crate::models::attributes::{self, tests::thing};
 use crate::models::chat::{Part, Tokens};
 use crate::scene::{Instance, Support};
@@ -34,7 +34,7 @@ fn asked(query: &str, observer: Option<Observer>) -> (Grounding, PromptContext) 
     let instances = room();
     let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
     let question = Question { observer, ..Question::of(query) };
-    let scene = SceneView { instances: &instances, extent, appearance: None };
+    let scene = SceneView { instances: &instances, extent, names: &NameIndex::of(&instances), appearance: None };
     ground_with_context(scene, &question, query::parse(query), Duration::ZERO)
 }
 

@@ -1,6 +1,6 @@
 //! The pictures a model gets: the global render and a collage for every candidate.
 
-use super::{EvidenceMode, PromptContext};
+use super::{EvidenceMode, PromptContext, naming};
 use crate::geometry::boxes::Aabb;
 use crate::grounding::scene_source::SceneSource;
 use crate::models::chat::Picture;
@@ -15,8 +15,10 @@ use std::collections::BTreeMap;
 pub struct VisualEvidence {
     /// The global render: all views side by side. `None` without points or candidates, or where an ablation leaves it out.
     pub global: Option<Picture>,
-    /// By candidate's id.
+    /// By id, of candidates and of anchors that are shown beside them.
     pub collages: BTreeMap<u32, Picture>,
+    /// Contact sheets, each with the ids on it; in place of collages.
+    pub sheets: Vec<(Picture, Vec<u32>)>,
 }
 
 /// How large pictures are. Pictures cost money: a provider charges by the tile.
@@ -24,8 +26,8 @@ pub struct VisualEvidence {
 pub struct PictureSettings {
     /// Views of the global render.
     pub global: GlobalView,
-    /// Size and number of photographs of a candidate's collage.
-    pub collage: Collage,
+    /// Size and number of photographs of a candidate's collage; `None` where contact sheets stand in for collages.
+    pub collage: Option<Collage>,
 }
 
 impl PictureSettings {
@@ -33,19 +35,20 @@ impl PictureSettings {
     #[must_use]
     pub fn of(evidence: EvidenceMode) -> Self {
         match evidence {
-            EvidenceMode::Full => Self::full(),
+            EvidenceMode::Full | EvidenceMode::TwoStep => Self::full(),
             EvidenceMode::CachedNames => Self::frugal(),
+            EvidenceMode::Sheet => Self { collage: None, ..Self::full() },
         }
     }
 
     /// Paper: three views of 680 x 680 pixels, collages of three pairs.
     fn full() -> Self {
-        Self { global: GlobalView::default(), collage: Collage::default() }
+        Self { global: GlobalView::default(), collage: Some(Collage::default()) }
     }
 
     /// For use with names: three views that take three of a provider's tiles, and one photograph of a candidate that takes one.
     fn frugal() -> Self {
-        let collage = Collage { max_shots: 1, ..Collage::default() };
+        let collage = Some(Collage { max_shots: 1, ..Collage::default() });
         Self { global: GlobalView { view_px: 508, ..GlobalView::default() }, collage }
     }
 }
@@ -60,23 +63,28 @@ pub fn collect<S: SceneSource>(source: &S, context: &PromptContext, settings: &P
     let key = |id: u32| format!("{scene} {id} {:?}", settings.collage);
     let mut evidence = VisualEvidence { global: cache.globals.get(&key_of_global), ..VisualEvidence::default() };
     let mut missing = Vec::new();
-    for candidate in &context.candidates {
-        match cache.collages.get(&key(candidate.id.0)) {
-            Some(known) => drop(evidence.collages.insert(candidate.id.0, known)),
-            None => missing.push(candidate.id),
+    for id in context.shown() {
+        match cache.collages.get(&key(id.0)).filter(|_| settings.collage.is_some()) {
+            Some(known) => drop(evidence.collages.insert(id.0, known)),
+            None => missing.push(id),
         }
     }
     if evidence.global.is_some() && missing.is_empty() {
         return Ok(evidence);
     }
     let render_scene = source.render_scene()?;
-    let (global, collages) = rayon::join(
+    let (global, drawn) = rayon::join(
         || match evidence.global.take() {
             None => draw_global(context, &render_scene, &source.extent(), &settings.global),
             known => known,
         },
-        || draw_collages(&missing, |id| source.shots(id, settings.collage.max_shots, &render_scene), settings.collage),
+        || match settings.collage {
+            Some(collage) => Ok((draw_collages(&missing, |id| source.shots(id, collage.max_shots, &render_scene), collage), Vec::new())),
+            None => contact_sheets(source, &missing).map(|sheets| (BTreeMap::new(), sheets)),
+        },
     );
+    let (collages, sheets) = drawn?;
+    evidence.sheets = sheets;
     if let Some(picture) = &global {
         cache.globals.put(key_of_global, picture.clone(), picture.jpeg.len());
     }
@@ -94,6 +102,17 @@ fn draw_global(context: &PromptContext, render_scene: &RenderScene, extent: &Aab
         return None;
     }
     Some(encoded("global".into(), &view.draw(render_scene, extent, &context.subjects())))
+}
+
+/// One photograph of each instance, on as few sheets as hold them.
+///
+/// # Errors
+/// The cloud can not be read.
+pub fn contact_sheets<S: SceneSource>(source: &S, ids: &[InstanceId]) -> Result<Vec<(Picture, Vec<u32>)>, S::Error> {
+    let sheets = ids.chunks(naming::PER_SHEET).zip(1..);
+    sheets
+        .filter_map(|(ids, number)| naming::contact_sheet(source, format!("sheet-{number}"), ids).transpose())
+        .collect()
 }
 
 /// A collage of each instance, from its photographs.

@@ -1,6 +1,6 @@
 //! Replies in JSON, bare, fenced, or among words.
 
-use super::{Choice, Field, Reply, anchor, choice, is_nothing, joined, names, truth, words};
+use super::{Choice, Field, Reply, anchor, choice, is_nothing, joined, names, seen_at, truth, words};
 use serde_json::{Map, Value};
 use std::collections::BTreeMap;
 
@@ -44,6 +44,7 @@ fn of_object(object: &Map<String, Value>) -> Option<Reply> {
                     value => anchor(&plain(value)),
                 }
             }
+            Field::SeenAt => reply.seen_at = value.as_str().and_then(seen_at),
             Field::RelationUsed => reply.relation_used = value.as_str().and_then(words).filter(|w| !is_nothing(w)),
         }
     }
@@ -65,6 +66,7 @@ fn field(key: &str) -> Option<Field> {
         "targetnamematches" | "targetnamematch" => Some(Field::TargetNameMatches),
         "anchorid" => Some(Field::AnchorId),
         "relationused" => Some(Field::RelationUsed),
+        "seenat" => Some(Field::SeenAt),
         _ => None,
     }
 }

@@ -23,6 +23,8 @@ pub(super) const LABELS: &[(Field, &str)] = &[
     (Field::AnchorId, "anchor_id"),
     (Field::RelationUsed, "relation used"),
     (Field::RelationUsed, "relation_used"),
+    (Field::SeenAt, "seen at"),
+    (Field::SeenAt, "seen_at"),
 ];
 
 struct Found {
