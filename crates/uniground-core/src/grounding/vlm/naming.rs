@@ -9,7 +9,7 @@ use crate::scene::InstanceId;
 use std::collections::BTreeMap;
 
 /// Raised when what models are told to name instances changes: names given before are asked for again.
-pub const NAMING_VERSION: u32 = 1;
+pub const NAMING_VERSION: u32 = 2;
 
 /// Instances on one sheet: 4 x 3 tiles of 256 pixels are four of a provider's tiles.
 pub const PER_SHEET: usize = 12;
@@ -20,7 +20,10 @@ const SYSTEM: &str = "You name objects in photographs.";
 /// Longer names are descriptions.
 const MAX_NAME_CHARS: usize = 80;
 
-/// A sheet of instances to be named, and the ids on it: those that can be seen. `None` where none can.
+/// What covers fewer pixels of its best photograph nobody can name.
+const LEAST_PX: f32 = 12.0 * 12.0;
+
+/// A sheet of instances to be named, and the ids on it: those that can be seen well enough. `None` where none can.
 ///
 /// # Errors
 /// The cloud can not be read.
@@ -32,13 +35,14 @@ pub fn sheet_of<S: SceneSource>(source: &S, number: usize, ids: &[InstanceId]) -
     let shots: Vec<_> = ids
         .iter()
         .filter_map(|&id| Some((id, source.shots(id, 1, &render_scene).into_iter().next()?)))
+        .filter(|(_, shot)| shot.covered_px() >= LEAST_PX)
         .collect();
     let seen = shots.iter().map(|(id, _)| id.0).collect();
     Ok((!shots.is_empty()).then(|| (sheet(number, &shots), seen)))
 }
 
 fn sheet(number: usize, shots: &[(InstanceId, Shot)]) -> Picture {
-    let tiles: Vec<_> = shots.iter().map(|(id, shot)| (id.0, shot.crop.clone())).collect();
+    let tiles: Vec<_> = shots.iter().map(|(id, shot)| (id.0, shot)).collect();
     encoded(format!("names-{number}"), &mosaic(&tiles, COLUMNS.min(tiles.len() as u32), TILE_PX))
 }
 
@@ -48,8 +52,8 @@ pub fn request(sheet: Picture, ids: &[u32]) -> ChatRequest {
     let list = ids.iter().map(|id| format!("ID {id}")).collect::<Vec<_>>().join(", ");
     let text = format!(
         "The image shows one object per tile, cut from pictures of a room, each under its ID: {list}. Give each a descriptive name of \
-         three to eight words: the noun, with its colour, material or shape. Name what fills the middle of the tile. Answer with one \
-         line per object, nothing else:\nID -> name"
+         three to eight words: the noun, with its colour, material or shape. Name what the yellow line runs around, \
+         or where there is none what fills the middle; the rest of a tile only shows where it is. Answer with one line per object, nothing else:\nID -> name"
     );
     ChatRequest { system: SYSTEM.into(), user: vec![Part::Picture(sheet), Part::Text(text)], schema: None }
 }
