@@ -330,12 +330,7 @@ mod tests {
     fn an_instance_agrees_with_the_mask_that_shows_just_it() {
         // Six pixels in a row: instance 1 on four, 2 on two. Mask 5 is instance 1 less a pixel; mask 7 the rest.
         let hits: Vec<InstancePixel> = (0..6)
-            .map(|i| InstancePixel {
-                instance: InstanceId(if i < 4 { 1 } else { 2 }),
-                at: (i as f32, 0.0),
-                cell: (i, 0),
-                sight: Sight::Visible,
-            })
+            .map(|i| InstancePixel { instance: InstanceId(if i < 4 { 1 } else { 2 }), at: (i as f32, 0.0), cell: (i, 0) })
             .collect();
         let image = |ids: [u16; 6]| IdRuns::of(&IdImage { width: 6, height: 1, ids: ids.to_vec() });
         let parts = image([5, 5, 5, 7, 7, 7]);
