@@ -71,7 +71,7 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
     let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
     let lifting = Lifting { visibility: &visibility, superpoint_of_point: &superpoints.of_point, masks: &judged };
     let (lifted, _) = lifting.all(&frames, Checkpoints::none().log("lifting", &()), &quiet)?;
-    let (tables, masks_of) = Lifted::apart(lifted);
+    let (tables, masks_of, _) = Lifted::apart(lifted);
     let best = judged.best.into_inner().unwrap_or_else(PoisonError::into_inner);
     let pixels = objects.iter().map(|object| in_best_views(&best, object.id)).collect();
     let count = tables.iter().map(|t| t.masks as usize).sum();

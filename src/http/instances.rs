@@ -81,7 +81,7 @@ pub async fn get(State(app): State<App>, Path((scene_id, instance_id)): Path<(St
 #[serde(deny_unknown_fields)]
 #[into_params(parameter_in = Query)]
 pub struct ViewParameters {
-    /// The full frame with a red box, or a tight crop.
+    /// The full frame with the object outlined in a red box, or a crop of it with darker surroundings.
     #[serde(default)]
     #[param(inline)]
     picture: ViewPicture,

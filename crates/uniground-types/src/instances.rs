@@ -93,9 +93,9 @@ impl Levels {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ViewPicture {
-    /// The full frame with a red box.
+    /// The full frame: the object outlined, with a red box around it.
     #[default]
     Frame,
-    /// A tight crop.
+    /// A crop: the object outlined, its surroundings darker.
     Crop,
 }

@@ -120,6 +120,19 @@ pub struct View {
     pub visible_points: u32,
     /// Tight box of the visible points in the colour picture: left, top, right, bottom, pixels.
     pub box_px: [u32; 4],
+    /// What of the box shows the instance; left out in parses that were made before it was kept.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub mask: Option<ViewMask>,
+}
+
+/// A mask over a box, in cells of equal size, as COCO writes run lengths: its tools read it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct ViewMask {
+    /// Rows and columns of cells, at most 64 each.
+    pub size: [u32; 2],
+    /// Lengths of runs down the columns, outside and inside by turns, in COCO's compressed letters.
+    pub counts: String,
 }
 
 /// A name the encoder would give without having heard a question.

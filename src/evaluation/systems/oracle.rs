@@ -12,6 +12,7 @@ use uniground_core::scene_parsing::appearance;
 use uniground_core::scene_parsing::instances::{planarity, supports};
 use uniground_core::scene_parsing::labels::Labels;
 use uniground_core::scene_parsing::lifting::MasksOfFrames;
+use uniground_core::scene_parsing::sharpness::SharpnessOfFrames;
 use uniground_core::scene_parsing::views::Labelled;
 use uniground_core::scene_parsing::visibility::Visibility;
 use uniground_core::scene_parsing::{ParseError, ParsingSettings, views};
@@ -130,7 +131,7 @@ pub(super) fn view(
     let visibility = visibility(&own, &instance_of_point, settings);
     let labelled = Labelled { labels: &labels, visibility: &visibility };
     let seen = views::all_sightings(labelled, frames, &MasksOfFrames::new(), &Progress::silent())?;
-    views::choose(instances, seen, frames, &settings.views);
+    views::choose(instances, seen, frames, &SharpnessOfFrames::new(), &settings.views);
     Ok(())
 }
 

@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::service::Service;
-use crate::service::parses::{LoadedParse, ParseFile, view};
+use crate::service::parses::{LoadedParse, ParseFile, photograph, view};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,7 +14,7 @@ use uniground_core::ingest::{self, IngestError};
 use uniground_core::models::neural::{DualEncoder, Role};
 use uniground_core::models::{attributes, with_causes};
 use uniground_core::render::{RenderScene, Shot};
-use uniground_core::scene::{Embeddings, Instance, InstanceId};
+use uniground_core::scene::{Embeddings, Instance, InstanceId, View};
 use uniground_core::scene_parsing::evidence::Picture;
 
 /// A parse, and the service that keeps it.
@@ -81,7 +81,7 @@ impl SceneSource for StoredScene {
 
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
         let folder = self.folder();
-        let shots = instance.views.iter().enumerate().filter_map(|(k, view)| shot(&folder, instance.id, k, view.box_px));
+        let shots = instance.views.iter().enumerate().filter_map(|(k, view)| shot(&folder, instance.id, k, view));
         shots.take(most).collect()
     }
 
@@ -109,10 +109,9 @@ impl SceneSource for StoredScene {
     }
 }
 
-/// A stored view; `None`, and a line in the log, where it can not be read.
-fn shot(parse: &Utf8Path, id: InstanceId, at: usize, box_px: [u32; 4]) -> Option<Shot> {
-    let read = |picture| {
-        let file = view(parse, id, at, picture);
+/// A stored view; `None`, and a line in the log, where it can not be read. Parses from before masks were kept have drawn pictures alone.
+fn shot(parse: &Utf8Path, id: InstanceId, at: usize, of: &View) -> Option<Shot> {
+    let read = |file: Utf8PathBuf| {
         let decoded = fs::read(&file)
             .map_err(|e| e.to_string())
             .and_then(|bytes| image::load_from_memory(&bytes).map_err(|e| e.to_string()));
@@ -121,5 +120,9 @@ fn shot(parse: &Utf8Path, id: InstanceId, at: usize, box_px: [u32; 4]) -> Option
             .inspect_err(|error| tracing::warn!(%file, error, "an evidence picture can not be read"))
             .ok()
     };
-    Some(Shot::new(read(Picture::Crop)?, read(Picture::Frame)?, box_px))
+    if of.mask.is_some() {
+        return Some(Shot::of_view(read(photograph(parse, of.frame))?, of));
+    }
+    let drawn = |picture| read(view(parse, id, at, picture));
+    Some(Shot::new(drawn(Picture::Crop)?, drawn(Picture::Frame)?, of.box_px))
 }

@@ -119,7 +119,8 @@ impl Service {
         Ok(format!("{named} of {} objects named by {}", unnamed.len(), vlm.name()))
     }
 
-    /// Asks for the names of one sheet and keeps them: a job that is resumed goes on with the next.
+    /// Asks for the names of one sheet and keeps them: a job that is resumed goes on with the next. What is not shown well enough to be
+    /// asked about has the name "".
     async fn name_sheet(
         &self,
         vlm: &Vlm,
@@ -130,11 +131,13 @@ impl Service {
     ) -> Result<BTreeMap<u32, String>, Error> {
         let wanted = ids.to_vec();
         let sheet = source.compute(move |source| naming::sheet_of(source, number, &wanted)).await?;
-        let Some((sheet, ids)) = sheet else { return Ok(BTreeMap::new()) };
-        let model = vlm.model_for(caller);
-        let mut session = Session::new(model.as_ref(), vlm.budgets(caller, None).await?, 1);
-        let asked = session.ask("naming", naming::request(sheet, &ids)).await;
-        let names = naming::read(&asked?, &ids);
+        let mut names = BTreeMap::new();
+        if let Some((sheet, shown)) = sheet {
+            let model = vlm.model_for(caller);
+            let mut session = Session::new(model.as_ref(), vlm.budgets(caller, None).await?, 1);
+            names = naming::read(&session.ask("naming", naming::request(sheet, &shown)).await?, &shown);
+            names.extend(ids.iter().filter(|id| !shown.contains(&id.0)).map(|id| (id.0, String::new())));
+        }
         self.keep_names(&source.parse.id, &names).await?;
         Ok(names)
     }

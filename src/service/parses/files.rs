@@ -3,11 +3,12 @@
 use crate::error::Error;
 use crate::store::Scratch;
 use camino::{Utf8Path, Utf8PathBuf};
+use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io;
 use uniground_core::parse::ParsedScan;
 use uniground_core::progress::Progress;
-use uniground_core::scene::{Embeddings, InstanceId, write_cloud_ply, write_instances_ply};
+use uniground_core::scene::{Embeddings, FrameIndex, InstanceId, write_cloud_ply, write_instances_ply};
 use uniground_core::scene_parsing::evidence::{self, EvidencePicture, Picture};
 use uniground_core::scene_parsing::{ParseError, report_pictures};
 
@@ -49,6 +50,11 @@ fn view_name(instance: InstanceId, view: usize, picture: Picture) -> String {
     format!("{instance}-{view}-{kind}.jpg")
 }
 
+/// A photograph that views are of, as it was taken: pictures for models are drawn from it.
+pub fn photograph(parse: &Utf8Path, frame: FrameIndex) -> Utf8PathBuf {
+    parse.join(VIEWS).join(format!("photograph-{frame}"))
+}
+
 /// What an encoder has seen, where one took part.
 ///
 /// # Errors
@@ -78,6 +84,10 @@ pub fn write(scan: &ParsedScan, folder: &Scratch, writing: &Progress, drawing: &
     super::report_files::write(parse, report_pictures::render(parsed, &scan.frames, writing)?)?;
     writing.check().map_err(ParseError::from)?;
     fs::create_dir(parse.join(VIEWS))?;
+    let shown: BTreeSet<FrameIndex> = parsed.instances.iter().flat_map(|instance| &instance.views).map(|view| view.frame).collect();
+    for frame in scan.frames.iter().filter(|frame| shown.contains(&frame.index)) {
+        fs::copy(&frame.colour, photograph(parse, frame.index))?;
+    }
     evidence::render(&scan.frames, &parsed.instances, drawing, |EvidencePicture { instance, view: at, picture, jpeg }| {
         Ok::<_, Error>(fs::write(view(parse, instance, at, picture), jpeg)?)
     })

@@ -7,7 +7,7 @@ mod report_files;
 mod reports;
 
 pub use cache::{LoadedParse, ParseCache};
-pub use files::{ParseFile, view};
+pub use files::{ParseFile, photograph, view};
 pub use job::ParseJob;
 
 use super::{Caller, Service};

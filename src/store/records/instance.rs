@@ -129,10 +129,11 @@ mod tests {
 
     #[test]
     fn an_instance_of_another_version_keeps_what_is_known_of_it() {
-        let stored =
-            r#"{"id": 7, "aabb": {"center": [1, 2, 3], "size": [1, 1, 1]}, "names": [{"name": "mug", "score": 0.5}], "mood": "blue"}"#;
+        let stored = r#"{"id": 7, "aabb": {"center": [1, 2, 3], "size": [1, 1, 1]}, "names": [{"name": "mug", "score": 0.5}], "mood": "blue",
+                "views": [{"frame": 3, "visible_points": 9, "box_px": [1, 2, 3, 4]}]}"#;
         let instance: Instance = serde_json::from_str::<InstanceRecord>(stored).unwrap().into();
         assert_eq!((instance.id.0, instance.label(), instance.support), (7, "mug", Support::Nothing));
+        assert_eq!((instance.views[0].box_px, &instance.views[0].mask), ([1, 2, 3, 4], &None), "made before masks were kept");
         let again = InstanceRecord::from(&instance);
         let read: InstanceRecord = serde_json::from_str(&serde_json::to_string(&again).unwrap()).unwrap();
         assert_eq!(Instance::from(read), instance);

@@ -8,7 +8,6 @@ use crate::models::neural::{DualEncoder, Models};
 use crate::parse::ParsedScan;
 use crate::render::{RenderScene, Shot};
 use crate::scene::{Embeddings, FrameRef, Instance, View};
-use crate::scene_parsing::evidence;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -97,7 +96,7 @@ impl SceneSource for AlbumScene {
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
         let shot = |view: &View| {
             let frame = self.album.frames.iter().find(|frame| frame.index == view.frame)?.decode_colour().ok()?;
-            Some(Shot::new(evidence::crop(&frame, view), frame, view.box_px))
+            Some(Shot::of_view(frame, view))
         };
         instance.views.iter().filter_map(shot).take(most).collect()
     }

@@ -2,8 +2,8 @@
 
 use super::camera::Distance;
 use super::camera::{calibrated, eye, look_at, uncalibrated};
-use super::collage::Shot;
 use super::render_scene::RenderScene;
+use super::shot::Shot;
 use crate::geometry::Vector3;
 use crate::geometry::boxes::Aabb;
 use crate::scene::Camera;
@@ -38,6 +38,7 @@ pub fn close_ups(render_scene: &RenderScene, aabb: &Aabb) -> Vec<Shot> {
                 crop: drawn(render_scene, &near, top),
                 frame: drawn(render_scene, &far, top),
                 place: [low(|p| p.u), low(|p| p.v), high(|p| p.u), high(|p| p.v)],
+                mask: None,
             }
         })
         .collect()
@@ -91,7 +92,7 @@ mod tests {
         let aabb = Aabb { center: Point3::new(0.0, 0.0, 0.2), size: Vector3::new(0.6, 0.6, 0.4) };
         let shots = close_ups(&RenderScene::of(cloud), &aabb);
         assert_eq!(shots.len(), 3);
-        for Shot { crop, frame, place } in shots {
+        for Shot { crop, frame, place, .. } in shots {
             let red = |picture: &RgbImage| picture.pixels().filter(|p| p.0 == [250, 0, 0]).count();
             assert!(red(&crop) > 2 * red(&frame) && red(&frame) > 500, "{} {}", red(&crop), red(&frame));
             let [l, t, r, b] = place.map(|share| (share * SIDE_PX as f32) as u32);

@@ -1,31 +1,12 @@
 //! What one candidate looks like: up to three close crops with the whole photographs beneath, and a tag with its id (paper: candidate
-//! visual evidence).
+//! visual evidence). Outlines are drawn after shrinking: lines of a large photograph would be thinner than a pixel.
 
+use super::outline::{Around, draw_outline, outline_reach};
+use super::shot::Shot;
 use super::text;
 use fast_image_resize::images::Image;
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use image::{Rgb, RgbImage, imageops};
-
-/// One photograph that shows a candidate.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Shot {
-    /// The candidate and a little around it.
-    pub crop: RgbImage,
-    /// The photograph as it was taken, or with its box drawn already.
-    pub frame: RgbImage,
-    /// Where the candidate is in `frame`: left, top, right, bottom as shares of its width and height.
-    pub place: [f32; 4],
-}
-
-impl Shot {
-    /// `box_px` is where the candidate is in `frame`: left, top, right, bottom, pixels.
-    #[must_use]
-    pub fn new(crop: RgbImage, frame: RgbImage, box_px: [u32; 4]) -> Self {
-        let (width, height) = (frame.width() as f32, frame.height() as f32);
-        let [left, top, right, bottom] = box_px.map(|v| v as f32);
-        Self { crop, frame, place: [left / width, top / height, right / width, bottom / height] }
-    }
-}
 
 /// How large collages are. 1024 x 512 pixels are two of the tiles providers charge for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -68,14 +49,20 @@ impl Collage {
         let crop_height = ((height - tag_height) as f32 * CROP_SHARE) as u32;
         for (i, shot) in shots.iter().enumerate() {
             let x = i as u32 * cell;
-            place(&mut sheet, &shot.crop, (x, tag_height), (cell - GAP_PX, crop_height - GAP_PX));
+            place_crop(&mut sheet, shot, (x, tag_height), (cell - GAP_PX, crop_height - GAP_PX));
             let top = tag_height + crop_height;
             let (left, upper, fitted) = place(&mut sheet, &shot.frame, (x, top), (cell - GAP_PX, height - top));
-            // Drawn after shrinking: a line of a large photograph would be thinner than a pixel.
             let at = |share: f32, length: u32| share * length as f32;
             let [l, t, r, b] = shot.place;
-            let corner = |x: f32, y: f32| (left as f32 + at(x, fitted.0), upper as f32 + at(y, fitted.1));
-            outline(&mut sheet, (left, upper, fitted.0, fitted.1), corner(l, t), corner(r, b));
+            let area = (left, upper, fitted.0, fitted.1);
+            // The box leaves room for the outline.
+            let mut room = 0.0;
+            if let Some((mask, _)) = &shot.mask {
+                draw_outline(&mut sheet, area, mask, shot.place, Around::Kept);
+                room = outline_reach(fitted.0, fitted.1) as f32;
+            }
+            let corner = |x: f32, y: f32, room: f32| (left as f32 + at(x, fitted.0) + room, upper as f32 + at(y, fitted.1) + room);
+            red_box(&mut sheet, area, corner(l, t, -room), corner(r, b, room));
         }
         sheet
     }
@@ -83,13 +70,13 @@ impl Collage {
 
 /// Many candidates on one sheet, one crop each, to be named together.
 #[must_use]
-pub fn mosaic(tiles: &[(u32, RgbImage)], columns: u32, tile_px: u32) -> RgbImage {
+pub fn mosaic(tiles: &[(u32, &Shot)], columns: u32, tile_px: u32) -> RgbImage {
     let rows = (tiles.len() as u32).div_ceil(columns.max(1)).max(1);
     let mut sheet = RgbImage::from_pixel(columns * tile_px, rows * tile_px, SHEET);
     let tag_height = (tile_px / 7).max(14);
-    for (i, (id, crop)) in tiles.iter().enumerate() {
+    for (i, (id, shot)) in tiles.iter().enumerate() {
         let (x, y) = (i as u32 % columns * tile_px, i as u32 / columns * tile_px);
-        place(&mut sheet, crop, (x, y + tag_height), (tile_px - GAP_PX, tile_px - tag_height - GAP_PX));
+        place_crop(&mut sheet, shot, (x, y + tag_height), (tile_px - GAP_PX, tile_px - tag_height - GAP_PX));
         tag(&mut sheet, (x, y), tag_height, &format!("ID {id}"));
     }
     sheet
@@ -103,6 +90,14 @@ fn tag(sheet: &mut RgbImage, (x, y): (u32, u32), height: u32, words: &str) {
         sheet.put_pixel(u, v, TAG);
     }
     text::draw(sheet, words, x as f32 + 6.0, y as f32 + height as f32 * 0.04, size_px, Rgb([255; 3]));
+}
+
+/// Puts the crop of a shot into a cell, its object outlined and the surroundings dimmed.
+fn place_crop(sheet: &mut RgbImage, shot: &Shot, at: (u32, u32), room: (u32, u32)) {
+    let (left, top, (width, height)) = place(sheet, &shot.crop, at, room);
+    if let Some((mask, place)) = &shot.mask {
+        draw_outline(sheet, (left, top, width, height), mask, *place, Around::Dimmed);
+    }
 }
 
 /// Puts a picture into the middle of a cell, as large as it fits; returns where it landed and its size there.
@@ -132,7 +127,7 @@ fn resized(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
 }
 
 /// A red outline just outside of a box, three pixels wide, clipped to the picture it belongs to.
-fn outline(sheet: &mut RgbImage, (left, top, width, height): (u32, u32, u32, u32), low: (f32, f32), high: (f32, f32)) {
+fn red_box(sheet: &mut RgbImage, (left, top, width, height): (u32, u32, u32, u32), low: (f32, f32), high: (f32, f32)) {
     const WIDTH_PX: i64 = 3;
     let inside_x = |x: f32| (x.round() as i64).clamp(i64::from(left) + WIDTH_PX, i64::from(left + width) - WIDTH_PX);
     let inside_y = |y: f32| (y.round() as i64).clamp(i64::from(top) + WIDTH_PX, i64::from(top + height) - WIDTH_PX);
@@ -160,12 +155,14 @@ fn outline(sheet: &mut RgbImage, (left, top, width, height): (u32, u32, u32, u32
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::CellMask;
 
     fn shot(width: u32, height: u32) -> Shot {
         Shot {
             crop: RgbImage::from_pixel(60, 90, Rgb([90, 140, 90])),
             frame: RgbImage::from_pixel(width, height, Rgb([120, 120, 120])),
             place: [0.25, 0.25, 0.5, 0.75],
+            mask: None,
         }
     }
 
@@ -213,11 +210,34 @@ mod tests {
 
     #[test]
     fn a_mosaic_holds_every_tile() {
-        let tiles: Vec<(u32, RgbImage)> = (1..=7).map(|id| (id, RgbImage::from_pixel(40, 40, Rgb([200, 40, 40])))).collect();
+        let red = Shot { crop: RgbImage::from_pixel(40, 40, Rgb([200, 40, 40])), ..shot(64, 48) };
+        let tiles: Vec<(u32, &Shot)> = (1..=7).map(|id| (id, &red)).collect();
         let sheet = mosaic(&tiles, 4, 170);
         assert_eq!(sheet.dimensions(), (680, 340));
         let red = |i: u32| *sheet.get_pixel(i % 4 * 170 + 85, i / 4 * 170 + 95) == Rgb([200, 40, 40]);
         assert!((0..7).all(red) && !red(7));
+    }
+
+    /// The crop has the outline where the mask is and dimmed surroundings, the photograph the outline beside its box and no dimming.
+    #[test]
+    fn an_object_whose_mask_is_known_stands_out() {
+        let mask = CellMask::of(4, 4, |column, _| column < 2);
+        let shot = Shot { mask: Some((mask, [0.25, 0.25, 0.75, 0.75])), ..shot(640, 480) };
+        let collage = Collage { max_shots: 1, ..Collage::default() }.draw(22, std::slice::from_ref(&shot));
+        let plain = Collage { max_shots: 1, ..Collage::default() }.draw(22, &[Shot { mask: None, ..shot }]);
+        let changed = |rows: std::ops::Range<u32>, is: fn(&Rgb<u8>) -> bool| {
+            let pixels = rows.flat_map(|y| (0..collage.width()).map(move |x| (x, y)));
+            pixels
+                .filter(|&(x, y)| collage.get_pixel(x, y) != plain.get_pixel(x, y) && is(collage.get_pixel(x, y)))
+                .count()
+        };
+        let (crop, frame, dim) = (32..270, 275..512, |p: &Rgb<u8>| p.0 == [59, 92, 59]);
+        assert!(changed(crop.clone(), dim) > 10_000 && changed(crop, |p| p.0[0] > 200 && p.0[2] < 90) > 200);
+        assert!(changed(frame.clone(), |p| p.0[0] > 200 && p.0[1] > 200 && p.0[2] < 90) > 200);
+        assert!(
+            frame.flat_map(|y| (0..512).map(move |x| (x, y))).all(|(x, y)| collage.get_pixel(x, y).0 != [79; 3]),
+            "nothing is dimmed"
+        );
     }
 
     #[test]

@@ -6,8 +6,10 @@ mod close_up;
 mod collage;
 mod directions;
 mod jpeg;
+mod outline;
 mod overlay;
 mod render_scene;
+mod shot;
 mod text;
 
 use crate::geometry::boxes::Aabb;
@@ -15,12 +17,14 @@ use crate::scene::Camera;
 pub use camera::Orbit;
 pub use candidates::{GlobalView, Subjects};
 pub use close_up::close_ups;
-pub use collage::{Collage, Shot, mosaic};
+pub use collage::{Collage, mosaic};
 pub use directions::DirectionWord;
 use image::{Pixel, Rgb, RgbImage};
 pub use jpeg::jpeg;
+pub use outline::{Around, draw_outline, outline_reach};
 pub use overlay::{BoxStyle, LabelledBox};
 pub use render_scene::RenderScene;
+pub use shot::{Shot, crop_area, cut, shares};
 
 const BACKGROUND: Rgb<u8> = Rgb([250, 250, 250]);
 /// How a whole room is shown: from the south, well above. Left is -X, right is +X, the far wall +Y.

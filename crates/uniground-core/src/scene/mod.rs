@@ -5,6 +5,7 @@
 
 mod bundle;
 mod camera;
+mod cell_mask;
 mod cloud;
 mod embeddings;
 mod export;
@@ -15,6 +16,7 @@ mod parsed;
 
 pub use bundle::SceneBundle;
 pub use camera::{Camera, Intrinsics, Pixel};
+pub use cell_mask::CellMask;
 pub use cloud::PointCloud;
 pub use embeddings::{Embeddings, Norms};
 pub use export::{id_colour, write_cloud_ply, write_instances_ply};
@@ -22,5 +24,5 @@ pub use frame::{DepthImage, Frame, FrameError, FrameRef, stream_frames};
 pub use instance::Instance;
 pub use parsed::ParsedScene;
 pub use uniground_types::scene::{
-    FrameIndex, ImportReport, InstanceId, Level, NameGuess, ParseReport, PoseConvention, StageReport, Structure, Support, View,
+    FrameIndex, ImportReport, InstanceId, Level, NameGuess, ParseReport, PoseConvention, StageReport, Structure, Support, View, ViewMask,
 };

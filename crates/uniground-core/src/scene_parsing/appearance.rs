@@ -3,6 +3,7 @@
 use super::ParseError;
 use super::correction::{Corrector, KnownMasks, Projection};
 use super::lifting::MasksOfFrames;
+use super::outline::Outline;
 use super::views::{Labelled, Sighting, all_sightings, visible_pixels};
 use crate::models::neural::DualEncoder;
 use crate::progress::Progress;
@@ -43,48 +44,53 @@ pub struct Correction<'a> {
     pub known: &'a MasksOfFrames,
 }
 
-/// One vector per instance, row after row (none without an encoder), and the boxes that were looked at: corrected, where a segmenter could.
+/// What a segmenter found of instances in pictures, by frame and instance.
+pub type Outlines = BTreeMap<FrameIndex, BTreeMap<InstanceId, Outline>>;
+
+/// One vector per instance, row after row (none without an encoder), and what a segmenter corrected. An encoder looks at corrected boxes.
 ///
 /// # Errors
 /// [`ParseError`]: an unreadable frame, a model that fails, cancellation.
 pub fn look(
     frames: &[FrameRef],
     instances: &[Instance],
-    mut boxes: Boxes,
+    boxes: &Boxes,
     labelled: Labelled,
     (correction, encoder): (Option<Correction>, Option<&DualEncoder>),
     settings: &AppearanceSettings,
     progress: &Progress,
-) -> Result<(Vec<f32>, Boxes), ParseError> {
+) -> Result<(Vec<f32>, Outlines), ParseError> {
     let wanted: Vec<FrameRef> = frames.iter().filter(|frame| boxes.contains_key(&frame.index)).cloned().collect();
     let dim = encoder.map_or(0, DualEncoder::dim);
     let mut sums = vec![0.0_f64; instances.len() * dim];
-    let projected = boxes.clone();
+    let mut outlines = Outlines::new();
     stream_frames(
         &wanted,
         |frame| {
             progress.check()?;
-            let mut seen = projected[&frame.index].clone();
+            let mut seen = boxes[&frame.index].clone();
             let picture = frame.decode_colour()?;
-            if let Some(correction) = correction {
-                correct(frame, &picture, labelled, correction, &mut seen, progress)?;
-            }
+            let corrected = match correction {
+                Some(correction) => correct(frame, &picture, labelled, correction, &seen, progress)?,
+                None => BTreeMap::new(),
+            };
+            seen.extend(corrected.iter().map(|(instance, outline)| (*instance, outline.box_px)));
             let embedded = match encoder {
                 Some(encoder) => embed(&picture, &seen, encoder, settings, progress)?,
                 None => Vec::new(),
             };
-            Ok::<_, ParseError>((frame.index, seen, embedded))
+            Ok::<_, ParseError>((frame.index, corrected, embedded))
         },
-        |i, (frame, seen, embedded)| {
+        |i, (frame, corrected, embedded)| {
             for (instance, sum) in embedded {
                 let row = &mut sums[(instance.0 as usize - 1) * dim..][..dim];
                 row.iter_mut().zip(sum).for_each(|(total, v)| *total += f64::from(v));
             }
-            boxes.insert(frame, seen);
+            outlines.insert(frame, corrected);
             Ok(progress.report("appearance", (i + 1) as f32 / wanted.len() as f32)?)
         },
     )?;
-    Ok((if dim > 0 { finish(&sums, dim) } else { Vec::new() }, boxes))
+    Ok((if dim > 0 { finish(&sums, dim) } else { Vec::new() }, outlines))
 }
 
 /// One vector per instance, row after row, for instances whose points are known already; projected boxes are not corrected.
@@ -101,45 +107,45 @@ pub fn of_known(
     let quiet = Progress::silent();
     let seen = all_sightings(labelled, frames, &MasksOfFrames::new(), &quiet)?;
     let boxes = choose(instances, &seen, settings);
-    Ok(look(frames, instances, boxes, labelled, (None, Some(encoder)), settings, &quiet)?.0)
+    Ok(look(frames, instances, &boxes, labelled, (None, Some(encoder)), settings, &quiet)?.0)
 }
 
-/// Replaces projected boxes by those of masks that agree with them.
+/// Of instances with projected boxes, the masks that agree with the projection.
 fn correct(
     frame: &FrameRef,
     picture: &RgbImage,
     labelled: Labelled,
     Correction { corrector, known }: Correction,
-    boxes: &mut BTreeMap<InstanceId, [u32; 4]>,
+    boxes: &BTreeMap<InstanceId, [u32; 4]>,
     progress: &Progress,
-) -> Result<(), ParseError> {
+) -> Result<BTreeMap<InstanceId, Outline>, ParseError> {
     let depth = frame.decode_depth()?;
     let known: Vec<KnownMasks> = known.get(&frame.index).into_iter().flatten().map(|masks| KnownMasks::of(masks, frame)).collect();
-    let mut encoded = None;
+    let (mut encoded, mut outlines) = (None, BTreeMap::new());
     let pixels = visible_pixels(labelled, frame, &depth);
     for of_instance in pixels.chunk_by(|a, b| a.instance == b.instance) {
         progress.check()?;
         let instance = of_instance[0].instance;
-        let Some(tight) = boxes.get_mut(&instance) else { continue };
+        if !boxes.contains_key(&instance) {
+            continue;
+        }
         // The draws of the corrector follow the picture, whatever the order of the cloud.
         let mut pixels: Vec<(f32, f32)> = of_instance.iter().map(|point| point.at).collect();
         pixels.sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.total_cmp(&b.1)));
         let projection = Projection { instance, frame: frame.index, pixels: &pixels };
         let size = picture.dimensions();
-        let mut corrected = known.iter().find_map(|known| corrector.known_box(known, &projection, size));
+        let mut corrected = known.iter().find_map(|known| corrector.known_outline(known, &projection, size));
         if corrected.is_none() {
             let encoded = match &encoded {
                 Some(encoded) => encoded,
                 None => encoded.insert(corrector.frames.of(frame.index, picture)?),
             };
-            corrected = corrector.asked_box(encoded, &projection, size)?;
+            corrected = corrector.asked_outline(encoded, &projection, size)?;
         }
-        if let Some(corrected) = corrected {
-            *tight = corrected;
-        }
+        outlines.extend(corrected.map(|outline| (instance, outline)));
     }
     corrector.frames.forget(frame.index);
-    Ok(())
+    Ok(outlines)
 }
 
 /// Sums of unit vectors over the crops of each box of one picture.
@@ -196,7 +202,9 @@ mod tests {
     fn sighting(instance: u32, frame: u32, visible_points: u32) -> Sighting {
         Sighting {
             instance: InstanceId(instance),
-            view: View { frame: FrameIndex(frame), visible_points, box_px: [frame, 0, frame + 9, 9] },
+            view: View { frame: FrameIndex(frame), visible_points, box_px: [frame, 0, frame + 9, 9], mask: None },
+            whole: 1.0,
+            covered_px: 81.0,
             agreement: 0.0,
         }
     }

@@ -4,6 +4,7 @@
 
 use super::masks::IdRuns;
 use super::masks::sam::EncodedFrames;
+use super::outline::Outline;
 use crate::models::neural::{Encoded, ModelError, Prompt};
 use crate::scene::{FrameIndex, FrameRef, InstanceId};
 use uniground_types::settings::CorrectionSettings;
@@ -32,29 +33,29 @@ pub struct Projection<'a> {
 }
 
 impl Corrector<'_> {
-    /// The tight box, in pixels (left, top, right, bottom), of a mask the frame has already, where one agrees well enough.
+    /// A mask the frame has already, where one agrees well enough.
     #[must_use]
-    pub fn known_box(&self, known: &KnownMasks, projection: &Projection, (width, height): (u32, u32)) -> Option<[u32; 4]> {
+    pub fn known_outline(&self, known: &KnownMasks, projection: &Projection, (width, height): (u32, u32)) -> Option<Outline> {
         let least = self.settings.known_agreement.filter(|_| !projection.pixels.is_empty())?;
         let scale = (KnownMasks::SIZE as f32 / width as f32, KnownMasks::SIZE as f32 / height as f32);
         let covered = Covered::by(projection.pixels, scale, KnownMasks::SIZE);
         let id = known.commonest(&covered.hit)?;
         let inside = |cell: usize| known.ids[cell] == id;
         (covered.agreement(inside) >= least)
-            .then(|| bounds(inside, KnownMasks::SIZE, scale, (width, height)))
+            .then(|| outlined(inside, KnownMasks::SIZE, scale, (width, height)))
             .flatten()
     }
 
-    /// The tight box of the mask that fits best, in pixels: left, top, right, bottom. `None` when no mask agrees with the projection.
+    /// The mask that fits best. `None` when none agrees with the projection.
     ///
     /// # Errors
     /// [`ModelError`]: a failed call.
-    pub fn asked_box(
+    pub fn asked_outline(
         &self,
         encoded: &Encoded,
         projection: &Projection,
         (width, height): (u32, u32),
-    ) -> Result<Option<[u32; 4]>, ModelError> {
+    ) -> Result<Option<Outline>, ModelError> {
         let segmenter = &self.frames.segmenter;
         let (scale, size) = (segmenter.low_scale(encoded), segmenter.mask_size());
         let pixels = projection.pixels;
@@ -75,7 +76,7 @@ impl Corrector<'_> {
         let best = judged
             .filter(|(agreement, _)| *agreement >= self.settings.min_agreement)
             .max_by(|(a, x), (b, y)| (a * x.predicted_iou).total_cmp(&(b * y.predicted_iou)));
-        Ok(best.and_then(|(_, mask)| bounds(|cell| mask.logits[cell] > segmenter.threshold(), size, scale, (width, height))))
+        Ok(best.and_then(|(_, mask)| outlined(|cell| mask.logits[cell] > segmenter.threshold(), size, scale, (width, height))))
     }
 }
 
@@ -154,6 +155,13 @@ impl Covered {
         let precision = at as f32 / all.max(1) as f32;
         if held + precision > 0.0 { 2.0 * held * precision / (held + precision) } else { 0.0 }
     }
+}
+
+/// A mask with its tight box in the picture, whose cells are `scale` to a pixel.
+fn outlined(inside: impl Fn(usize) -> bool, size: usize, scale: (f32, f32), picture: (u32, u32)) -> Option<Outline> {
+    let box_px = bounds(&inside, size, scale, picture)?;
+    let cell = |at: f32, scale: f32| ((at * scale) as usize).min(size - 1);
+    Some(Outline::of_picture(box_px, |(x, y)| inside(cell(y, scale.1) * size + cell(x, scale.0))))
 }
 
 /// The tight box of a mask in the picture. The outermost 0.5 % of its area on each side are crumbs and left out.
@@ -265,10 +273,11 @@ mod tests {
         };
         let found = |pixels: &[(f32, f32)], least| {
             let projection = Projection { instance: InstanceId(4), frame: FrameIndex(3), pixels };
-            believing(least).known_box(&known, &projection, (128, 96))
+            believing(least).known_outline(&known, &projection, (128, 96))
         };
-        let [left, top, right, bottom] = found(&seen(42..78), Some(0.8)).unwrap();
+        let Outline { box_px: [left, top, right, bottom], mask } = found(&seen(42..78), Some(0.8)).unwrap();
         assert!(left.abs_diff(40) <= 1 && right.abs_diff(80) <= 1 && top.abs_diff(20) <= 1 && bottom.abs_diff(60) <= 1);
+        assert!(mask.share() > 0.95, "it fills its box: {mask:?}");
         assert_eq!(found(&seen(42..128), Some(0.8)), None, "half of it lies elsewhere");
         assert_eq!(found(&seen(42..78), None), None, "always asked");
         assert_eq!(found(&seen(90..120), Some(0.0)), None, "under no mask");
@@ -283,9 +292,9 @@ mod tests {
         let encoded = frames.of(FrameIndex(3), &picture).unwrap();
         let pixels: Vec<(f32, f32)> = (30..50).flat_map(|x| (20..40).map(move |y| (x as f32, y as f32))).collect();
         let projection = Projection { instance: InstanceId(4), frame: FrameIndex(3), pixels: &pixels };
-        let found = corrector.asked_box(&encoded, &projection, (90, 60)).unwrap();
-        assert_eq!(found, corrector.asked_box(&encoded, &projection, (90, 60)).unwrap());
+        let found = corrector.asked_outline(&encoded, &projection, (90, 60)).unwrap();
+        assert_eq!(found, corrector.asked_outline(&encoded, &projection, (90, 60)).unwrap());
         let picky = Corrector { frames: &frames, settings: CorrectionSettings { min_agreement: 1.1, ..settings } };
-        assert_eq!(picky.asked_box(&encoded, &projection, (90, 60)).unwrap(), None);
+        assert_eq!(picky.asked_outline(&encoded, &projection, (90, 60)).unwrap(), None);
     }
 }

@@ -1,17 +1,18 @@
-//! Evidence pictures: for every view a tight crop and the full frame with a red box (paper: candidate visual evidence).
+//! Evidence pictures for people: of every view a crop and the full frame with a red box, the instance outlined in both (paper: candidate
+//! visual evidence). Models get collages, whose outlines are drawn at their own size: [`crate::render::Shot::of_view`].
 
 use super::ParseError;
 use crate::progress::Progress;
-use crate::render::jpeg;
-use crate::scene::{FrameRef, Instance, InstanceId, View, stream_frames};
-use image::{Rgb, RgbImage, imageops};
+use crate::render::{Around, crop_area, cut, draw_outline, jpeg, outline_reach, shares};
+use crate::scene::{CellMask, FrameRef, Instance, InstanceId, View, stream_frames};
+use image::{Rgb, RgbImage};
 
 /// Which of the two pictures of a view.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Picture {
-    /// The tight box and 10 % around it.
+    /// The instance and a little around it: outlined, its surroundings dimmed.
     Crop,
-    /// The whole photograph, with a red box around the instance.
+    /// The whole photograph, with a red box around the outlined instance.
     Frame,
 }
 
@@ -28,8 +29,6 @@ pub struct EvidencePicture {
 }
 
 const RED: Rgb<u8> = Rgb([230, 20, 20]);
-/// A crop grows the tight box by this share of its width and height per side, so that the object is not cut at its rim.
-const CROP_MARGIN: f32 = 0.1;
 
 /// Instance, position among its views, and the view itself.
 type WantedView<'a> = (InstanceId, usize, &'a View);
@@ -68,21 +67,19 @@ pub fn render<E: From<ParseError> + Send>(
     )
 }
 
-/// What a view shows of an instance, with a little around it.
-#[must_use]
-pub fn crop(colour: &RgbImage, seen: &View) -> RgbImage {
-    let [left, top, right, bottom] = seen.box_px;
-    let margin = |length: u32| (length as f32 * CROP_MARGIN) as u32;
-    let (mx, my) = (margin(right - left), margin(bottom - top));
-    let (x, y) = (left.saturating_sub(mx), top.saturating_sub(my));
-    let (x2, y2) = ((right + mx).min(colour.width()), (bottom + my).min(colour.height()));
-    imageops::crop_imm(colour, x, y, (x2 - x).max(1), (y2 - y).max(1)).to_image()
-}
-
 fn pictures(colour: &RgbImage, instance: InstanceId, view: usize, seen: &View) -> [EvidencePicture; 2] {
-    let crop = crop(colour, seen);
-    let mut boxed = colour.clone();
-    draw_box(&mut boxed, seen.box_px);
+    let area = crop_area(seen.box_px, colour.dimensions());
+    let (mut crop, mut boxed, mut around) = (cut(colour, area), colour.clone(), seen.box_px);
+    if let Some(mask) = seen.mask.as_ref().and_then(CellMask::unpacked) {
+        let of = |picture: &RgbImage| (0, 0, picture.width(), picture.height());
+        let (in_crop, in_frame) = (of(&crop), of(&boxed));
+        draw_outline(&mut crop, in_crop, &mask, shares(seen.box_px, area), Around::Dimmed);
+        draw_outline(&mut boxed, in_frame, &mask, shares(seen.box_px, [0, 0, in_frame.2, in_frame.3]), Around::Kept);
+        // The box leaves room for the outline.
+        let ([left, top, right, bottom], room) = (around, outline_reach(in_frame.2, in_frame.3));
+        around = [left.saturating_sub(room), top.saturating_sub(room), (right + room).min(in_frame.2), (bottom + room).min(in_frame.3)];
+    }
+    draw_box(&mut boxed, around);
     let picture = |picture, image: &RgbImage| EvidencePicture { instance, view, picture, jpeg: jpeg(image) };
     [picture(Picture::Crop, &crop), picture(Picture::Frame, &boxed)]
 }
@@ -116,16 +113,19 @@ mod tests {
     use crate::scene::FrameIndex;
 
     #[test]
-    fn the_frame_has_a_red_box_around_the_object_and_the_crop_has_none() {
-        let colour = RgbImage::from_pixel(100, 80, Rgb([90, 90, 90]));
-        let seen = View { frame: FrameIndex(0), visible_points: 9, box_px: [40, 30, 60, 50] };
+    fn the_frame_has_a_red_box_around_the_object_and_the_crop_an_outline() {
+        let colour = RgbImage::from_pixel(400, 300, Rgb([90, 90, 90]));
+        let mask = CellMask::of(8, 8, |column, row| column + row < 8).packed();
+        let seen = View { frame: FrameIndex(0), visible_points: 9, box_px: [100, 100, 180, 180], mask: Some(mask) };
         let [crop, frame] = pictures(&colour, InstanceId(1), 0, &seen);
         let decoded = |p: &EvidencePicture| image::load_from_memory(&p.jpeg).unwrap().into_rgb8();
         let (crop, frame) = (decoded(&crop), decoded(&frame));
-        assert_eq!((crop.dimensions(), frame.dimensions()), ((24, 24), (100, 80)));
+        assert_eq!((crop.dimensions(), frame.dimensions()), ((224, 224), (400, 300)));
         let reddish = |p: &Rgb<u8>| p.0[0] > 150 && p.0[1] < 110;
-        assert!(reddish(frame.get_pixel(38, 40)) && reddish(frame.get_pixel(50, 28)) && !reddish(frame.get_pixel(50, 40)));
-        assert!(crop.pixels().all(|p| !reddish(p)));
+        let yellowish = |p: &&Rgb<u8>| p.0[0] > 150 && p.0[1] > 150 && p.0[2] < 130;
+        assert!(reddish(frame.get_pixel(94, 140)) && reddish(frame.get_pixel(140, 94)) && !reddish(frame.get_pixel(120, 120)));
+        assert!(frame.pixels().filter(yellowish).count() > 80 && crop.pixels().filter(yellowish).count() > 80);
+        assert!(crop.pixels().all(|p| !reddish(p)) && crop.get_pixel(2, 2).0[0] < 70, "dimmed");
     }
 
     #[test]

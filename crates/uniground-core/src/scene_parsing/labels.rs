@@ -94,6 +94,16 @@ impl<'a> Labels<'a> {
         (thing.0 != 0).then_some(thing).into_iter().chain(wholes).chain(parts)
     }
 
+    /// How many of the chosen points each instance has, by id less 1.
+    #[must_use]
+    pub fn counts(&self, chosen: impl Fn(u32) -> bool) -> Vec<u32> {
+        let mut counts = vec![0; self.len()];
+        for point in (0..self.thing_of_point.len()).filter(|&point| chosen(point as u32)) {
+            self.of(point).for_each(|id| counts[id.0 as usize - 1] += 1);
+        }
+        counts
+    }
+
     /// How many instances there are.
     #[must_use]
     pub fn len(&self) -> usize {

@@ -6,6 +6,7 @@
 use super::ParseError;
 use super::checkpoints::Log;
 use super::masks::{IdImage, IdRuns, MaskSource};
+use super::sharpness::{Sharpness, SharpnessOfFrames};
 use super::visibility::Visibility;
 use crate::progress::Progress;
 use crate::scene::{Frame, FrameIndex, FrameRef, stream_frames};
@@ -55,18 +56,21 @@ pub struct Lifted {
     pub tables: Vec<FrameVisibility>,
     /// By pixel, as many.
     pub masks: Vec<IdRuns>,
+    /// Of its photograph: looked at here, where it is decoded anyway.
+    pub sharpness: Sharpness,
 }
 
 /// The id images of each frame.
 pub type MasksOfFrames = BTreeMap<FrameIndex, Vec<IdRuns>>;
 
 impl Lifted {
-    /// The tables of all frames, and the masks of each.
+    /// The tables of all frames, and the masks and the sharpness of each.
     #[must_use]
-    pub fn apart(lifted: Vec<Self>) -> (Vec<FrameVisibility>, MasksOfFrames) {
+    pub fn apart(lifted: Vec<Self>) -> (Vec<FrameVisibility>, MasksOfFrames, SharpnessOfFrames) {
+        let sharpness = lifted.iter().map(|lifted| (lifted.frame, lifted.sharpness.clone())).collect();
         let (tables, masks): (Vec<_>, MasksOfFrames) =
-            lifted.into_iter().map(|Self { frame, tables, masks }| (tables, (frame, masks))).unzip();
-        (tables.concat(), masks)
+            lifted.into_iter().map(|lifted| (lifted.tables, (lifted.frame, lifted.masks))).unzip();
+        (tables.concat(), masks, sharpness)
     }
 }
 
@@ -87,7 +91,8 @@ impl Lifting<'_> {
                 let frame = frame.decode()?;
                 let images = self.masks.masks(&frame, progress)?;
                 let tables = lift(self.visibility, self.superpoint_of_point, &frame, &images);
-                Ok::<_, ParseError>(Lifted { frame: frame.index, tables, masks: images.iter().map(IdRuns::of).collect() })
+                let (masks, sharpness) = (images.iter().map(IdRuns::of).collect(), Sharpness::of(&frame.colour));
+                Ok::<_, ParseError>(Lifted { frame: frame.index, tables, masks, sharpness })
             },
             |i, frame| {
                 log.append(&frame);

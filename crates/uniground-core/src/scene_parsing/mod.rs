@@ -19,10 +19,12 @@ pub mod labels;
 pub mod lifting;
 pub mod masks;
 pub mod merging;
+pub mod outline;
 pub mod part_merging;
 pub mod planes;
 pub mod refinement;
 pub mod report_pictures;
+pub mod sharpness;
 mod stopwatch;
 pub mod superpoints;
 pub mod views;
@@ -42,6 +44,7 @@ use labels::Labels;
 use lifting::{Lifted, Lifting, MasksOfFrames};
 use masks::MaskSource;
 use planes::Planes;
+use sharpness::SharpnessOfFrames;
 pub use stopwatch::{StageOutcome, Stopwatch};
 use superpoints::Superpoints;
 pub use uniground_types::settings::ParsingSettings;
@@ -114,7 +117,7 @@ pub fn parse(
     let mut watch = Stopwatch::default();
     let ends = perception.ends();
 
-    let Grouped { superpoints, planes, visibility, masks_of, region_of, proposals, blind } =
+    let Grouped { superpoints, planes, visibility, masks_of, sharpness_of, region_of, proposals, blind } =
         group(&cloud, &frames, perception, settings, checkpoints, progress, &mut watch)?;
     let labels = Labels::of_regions(&region_of, &superpoints, proposals);
     let sightings = watch.time("views", |outcome| {
@@ -132,23 +135,23 @@ pub fn parse(
     })?;
     let Built { mut instances, labels, sightings, dropped, specks } = built;
     let looked_at = appearance::choose(&instances, &sightings, &settings.appearance);
-    views::choose(&mut instances, sightings, &frames, &settings.views);
+    views::choose(&mut instances, sightings, &frames, &sharpness_of, &settings.views);
     let rows = match perception.is_neural() {
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
             let labelled = Labelled { labels: &labels, visibility: &visibility };
             let looking = progress.part(ends[7], 1.0);
-            let (rows, boxes) = appearance::look(
+            let (rows, outlines) = appearance::look(
                 &frames,
                 &instances,
-                looked_at,
+                &looked_at,
                 labelled,
                 (perception.corrector.as_ref().map(|corrector| Correction { corrector, known: &masks_of }), perception.encoder),
                 &settings.appearance,
                 &looking,
             )?;
-            views::tighten(&mut instances, &boxes);
-            outcome.produced = boxes.values().map(std::collections::BTreeMap::len).sum();
+            views::tighten(&mut instances, &outlines);
+            outcome.produced = looked_at.values().map(std::collections::BTreeMap::len).sum();
             Ok::<_, ParseError>(rows)
         })?,
     };
@@ -182,6 +185,7 @@ struct Grouped {
     planes: Planes,
     visibility: Visibility,
     masks_of: MasksOfFrames,
+    sharpness_of: SharpnessOfFrames,
     /// One region per point of the cloud.
     region_of: Vec<u32>,
     /// Parts of regions, and wholes of several.
@@ -223,7 +227,7 @@ fn group(
         *outcome = StageOutcome { produced: lifted.iter().flat_map(|l| &l.tables).map(|table| table.masks as usize).sum(), reused };
         Ok::<_, ParseError>((visibility, lifted))
     })?;
-    let (tables, masks_of) = Lifted::apart(lifted);
+    let (tables, masks_of, sharpness_of) = Lifted::apart(lifted);
     let blind: Vec<String> = tables.iter().filter(|t| t.layer == 0 && t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
     let regions = watch.time("merging", |outcome| {
         let compute = || merging::merge(&superpoints, &planes, &tables, &settings.merging, &progress.part(ends[2], ends[3]));
@@ -253,7 +257,7 @@ fn group(
             Ok::<_, ParseError>(refined)
         })?,
     };
-    Ok(Grouped { superpoints, planes, visibility, masks_of, region_of, proposals, blind })
+    Ok(Grouped { superpoints, planes, visibility, masks_of, sharpness_of, region_of, proposals, blind })
 }
 
 /// What the one who reads the report should know, given the frames that see no point of the cloud.

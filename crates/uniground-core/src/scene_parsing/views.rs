@@ -1,13 +1,15 @@
 //! Evidence views: the frames that show an instance best, from different sides (paper: 3).
 
 use super::ParseError;
-use super::appearance::Boxes;
+use super::appearance::Outlines;
 use super::labels::Labels;
 use super::lifting::MasksOfFrames;
 use super::masks::IdRuns;
-use super::visibility::{Visibility, VisiblePoint};
+use super::outline::{Outline, unoccluded};
+use super::sharpness::SharpnessOfFrames;
+use super::visibility::{FramePoint, SAMPLED, Sight, Visibility, is_sampled};
 use crate::geometry::Point3;
-use crate::geometry::statistics::quantile;
+use crate::geometry::statistics::{median, quantile};
 use crate::progress::Progress;
 use crate::scene::{Camera, DepthImage, FrameIndex, FrameRef, Instance, InstanceId, View, stream_frames};
 use rayon::prelude::*;
@@ -28,13 +30,17 @@ pub struct Labelled<'a> {
 pub struct Sighting {
     /// What is seen.
     pub instance: InstanceId,
-    /// The frame, how many points it shows, and the box around them.
+    /// The frame, how many points it shows, the box around them and what of it shows the instance.
     pub view: View,
+    /// Share of the instance that is in the picture and hidden by nothing else, `0..=1`.
+    pub whole: f32,
+    /// Pixels that show it.
+    pub covered_px: f32,
     /// IoU of the points it shows and those of the mask that fits them best; 0 without masks.
     pub agreement: f32,
 }
 
-/// A visible point of an instance in the pictures of a frame.
+/// A point of an instance in the pictures of a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct InstancePixel {
     /// What it belongs to.
@@ -48,30 +54,51 @@ pub struct InstancePixel {
 /// The visible points of every instance this frame shows, sorted by instance.
 #[must_use]
 pub fn visible_pixels(labelled: Labelled, frame: &FrameRef, depth: &DepthImage) -> Vec<InstancePixel> {
-    let (Labelled { labels, visibility }, colour_camera) = (labelled, frame.colour_camera());
-    let mut pixels: Vec<InstancePixel> = visibility
-        .in_frame(&frame.depth_camera(), depth)
-        .into_iter()
-        .filter_map(|VisiblePoint { point, position, cell }| {
-            let pixel = colour_camera.project(&position)?;
-            Some(
-                labels
-                    .of(point as usize)
-                    .map(move |instance| InstancePixel { instance, at: (pixel.u, pixel.v), cell }),
-            )
-        })
-        .flatten()
-        .collect();
-    pixels.sort_by_key(|pixel| pixel.instance);
-    pixels
+    by_instance(labelled.labels, frame, &labelled.visibility.in_frame(&frame.depth_camera(), depth)).0
 }
 
-/// Every instance this frame shows, in order of id; `masks` are the frame's id images.
+/// Points of instances that lie in a picture unseen.
+#[derive(Default)]
+struct Unseen {
+    /// Those behind something, with their column and row in the colour picture, sorted by instance.
+    hidden: Vec<(InstanceId, (f32, f32))>,
+    /// How many there are of each instance where nothing is known, by id less 1.
+    unknown: Vec<u32>,
+}
+
+impl Unseen {
+    fn hidden(&self, instance: InstanceId) -> &[(InstanceId, (f32, f32))] {
+        let first = self.hidden.partition_point(|(of, _)| *of < instance);
+        let after = self.hidden.partition_point(|(of, _)| *of <= instance);
+        &self.hidden[first..after]
+    }
+}
+
+/// Points as pixels of the colour picture, once for each instance they belong to: the visible ones sorted by instance, and the others.
+fn by_instance(labels: &Labels, frame: &FrameRef, points: &[FramePoint]) -> (Vec<InstancePixel>, Unseen) {
+    let colour_camera = frame.colour_camera();
+    let (mut pixels, mut unseen) = (Vec::with_capacity(points.len()), Unseen { unknown: vec![0; labels.len()], ..Unseen::default() });
+    for &FramePoint { point, position, cell, sight } in points {
+        let Some(pixel) = colour_camera.project(&position) else { continue };
+        let (instances, at) = (labels.of(point as usize), (pixel.u, pixel.v));
+        match sight {
+            Sight::Visible => pixels.extend(instances.map(|instance| InstancePixel { instance, at, cell })),
+            Sight::Hidden => unseen.hidden.extend(instances.map(|instance| (instance, at))),
+            Sight::Unknown => instances.for_each(|instance| unseen.unknown[instance.0 as usize - 1] += 1),
+        }
+    }
+    pixels.sort_by_key(|pixel| pixel.instance);
+    unseen.hidden.sort_by_key(|(instance, _)| *instance);
+    (pixels, unseen)
+}
+
+/// Every instance this frame shows, in order of id; `masks` are the frame's id images, `sampled` counts the points of each instance that
+/// are told of where they are not visible.
 ///
 /// The box in the picture is robust: the outermost 1 % of the visible points at each side are left out.
-#[must_use]
-pub fn sightings(labelled: Labelled, frame: &FrameRef, depth: &DepthImage, masks: &[IdRuns]) -> Vec<Sighting> {
-    let hits = visible_pixels(labelled, frame, depth);
+fn sightings(labelled: Labelled, sampled: &[u32], frame: &FrameRef, depth: &DepthImage, masks: &[IdRuns]) -> Vec<Sighting> {
+    let points = labelled.visibility.around_frame(&frame.depth_camera(), depth);
+    let (hits, unseen) = by_instance(labelled.labels, frame, &points);
     let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
     let agreements = agreements(&hits, labelled.labels.things, masks);
     hits.chunk_by(|a, b| a.instance == b.instance)
@@ -86,10 +113,26 @@ pub fn sightings(labelled: Labelled, frame: &FrameRef, depth: &DepthImage, masks
             let ((left, right), (top, bottom)) = (span(|hit| hit.at.0, width), span(|hit| hit.at.1, height));
             let box_px = [left, top, right, bottom];
             let instance = hits[0].instance;
-            let view = View { frame: frame.index, visible_points: hits.len() as u32, box_px };
-            Sighting { instance, view, agreement: agreements.get(&instance).copied().unwrap_or(0.0) }
+            let at: Vec<(f32, f32)> = hits.iter().map(|hit| hit.at).collect();
+            let outline = Outline::of_points(&at, box_px);
+            let view = View { frame: frame.index, visible_points: hits.len() as u32, box_px, mask: Some(outline.mask.packed()) };
+            let agreement = agreements.get(&instance).copied().unwrap_or(0.0);
+            let of_instance = instance.0 as usize - 1;
+            let whole = whole(&at, unseen.hidden(instance), unseen.unknown[of_instance], sampled[of_instance]);
+            Sighting { instance, view, whole, covered_px: outline.covered_px(), agreement }
         })
         .collect()
+}
+
+/// Share of an instance that is in the picture, times the share of that which nothing else hides.
+///
+/// Of points that are not visible a sample is known, `sampled` in all.
+fn whole(visible: &[(f32, f32)], hidden: &[(InstanceId, (f32, f32))], unknown: u32, sampled: u32) -> f32 {
+    let hidden: Vec<(f32, f32)> = hidden.iter().map(|(_, at)| *at).collect();
+    // As few of the visible ones.
+    let visible: Vec<(f32, f32)> = visible.iter().step_by(SAMPLED as usize).copied().collect();
+    let in_picture = visible.len() as f32 + hidden.len() as f32 + unknown as f32;
+    (in_picture / sampled.max(1) as f32).min(1.0) * unoccluded(&visible, &hidden)
 }
 
 /// What a frame shows of one instance.
@@ -140,12 +183,13 @@ pub fn all_sightings(
     progress: &Progress,
 ) -> Result<Vec<Sighting>, ParseError> {
     let mut all = Vec::new();
+    let sampled = labelled.labels.counts(is_sampled);
     stream_frames(
         frames,
         |frame| {
             progress.check()?;
             let masks = masks.get(&frame.index).map_or(&[][..], Vec::as_slice);
-            Ok::<_, ParseError>(sightings(labelled, frame, &frame.decode_depth()?, masks))
+            Ok::<_, ParseError>(sightings(labelled, &sampled, frame, &frame.decode_depth()?, masks))
         },
         |i, seen| {
             all.extend(seen);
@@ -156,42 +200,65 @@ pub fn all_sightings(
 }
 
 /// Gives each instance its views: the best first, then the farthest camera centre among those that show it well.
-pub fn choose(instances: &mut [Instance], sightings: Vec<Sighting>, frames: &[FrameRef], settings: &ViewSettings) {
-    let mut per_instance: Vec<Vec<View>> = vec![Vec::new(); instances.len()];
-    for Sighting { instance, view, .. } in sightings {
-        per_instance[instance.0 as usize - 1].push(view);
+pub fn choose(
+    instances: &mut [Instance],
+    sightings: Vec<Sighting>,
+    frames: &[FrameRef],
+    sharpness: &SharpnessOfFrames,
+    settings: &ViewSettings,
+) {
+    let mut per_instance: Vec<Vec<Sighting>> = vec![Vec::new(); instances.len()];
+    for sighting in sightings {
+        per_instance[sighting.instance.0 as usize - 1].push(sighting);
     }
     instances.par_iter_mut().zip(per_instance).for_each(|(instance, seen)| {
         let center = |frame: FrameIndex| {
             let at = frames.binary_search_by_key(&frame, |f| f.index);
             at.map_or_else(|_| Point3::origin(), |i| Camera::center(&frames[i].colour_camera()))
         };
-        instance.views = spread(seen, settings, center);
+        instance.views = spread(judged(seen, sharpness), settings, center);
     });
 }
 
-/// Takes over boxes that a segmenter has corrected.
-pub fn tighten(instances: &mut [Instance], boxes: &Boxes) {
+/// Takes over what a segmenter has corrected.
+pub fn tighten(instances: &mut [Instance], outlines: &Outlines) {
     for instance in instances {
         for view in &mut instance.views {
-            if let Some(tight) = boxes.get(&view.frame).and_then(|of_frame| of_frame.get(&instance.id)) {
-                view.box_px = *tight;
+            if let Some(outline) = outlines.get(&view.frame).and_then(|of_frame| of_frame.get(&instance.id)) {
+                view.box_px = outline.box_px;
+                view.mask = Some(outline.mask.packed());
             }
         }
     }
 }
 
-fn spread(mut seen: Vec<View>, settings: &ViewSettings, center: impl Fn(FrameIndex) -> Point3<f32>) -> Vec<View> {
-    // More covered pixels is better; a larger picture of the same points is too.
-    let covered = |view: &View| {
-        let [left, top, right, bottom] = view.box_px;
-        u64::from(view.visible_points) * u64::from((right.saturating_sub(left)).max(1) * (bottom.saturating_sub(top)).max(1)).isqrt().max(1)
+/// Beyond so many pixels the size of a picture matters less than how much of the thing it shows: collages and sheets show no more of them.
+const ENOUGH_PX: f32 = 96.0 * 96.0;
+/// A view counts as blurred below this share of the median sharpness of all views of the same thing, and for less in proportion.
+const BLURRED: f32 = 0.5;
+/// The least a blurred view counts for.
+const LEAST_SHARP: f32 = 0.3;
+
+/// The views of one instance with what each is worth, `0..=1`: how much of it is in the picture and unhidden, how large it is, how sharp.
+///
+/// The first counts squared: half a thing is no more than a quarter as good to know it by, however large.
+fn judged(seen: Vec<Sighting>, sharpness: &SharpnessOfFrames) -> Vec<(f32, View)> {
+    let sharp: Vec<Option<f32>> = seen.iter().map(|s| Some(sharpness.get(&s.view.frame)?.within(s.view.box_px))).collect();
+    let usual = median(&mut sharp.iter().flatten().copied().collect::<Vec<_>>()).unwrap_or(0.0) * BLURRED;
+    let worth = |(sighting, sharp): (Sighting, Option<f32>)| {
+        let size = sighting.covered_px / (sighting.covered_px + ENOUGH_PX);
+        let clear = sharp.filter(|_| usual > 0.0).map_or(1.0, |sharp| (sharp / usual).clamp(LEAST_SHARP, 1.0));
+        (sighting.whole * sighting.whole * size * clear, sighting.view)
     };
-    seen.sort_by_key(|view| (std::cmp::Reverse(covered(view)), view.frame));
-    let Some(best) = seen.first().cloned() else { return Vec::new() };
-    let least = covered(&best) as f32 * settings.min_share_of_best;
-    let mut pool: Vec<View> = seen.into_iter().skip(1).filter(|view| covered(view) as f32 >= least).collect();
-    let mut chosen = vec![best];
+    seen.into_iter().zip(sharp).map(worth).collect()
+}
+
+/// The best view and those from far away, of views with what each is worth.
+fn spread(mut seen: Vec<(f32, View)>, settings: &ViewSettings, center: impl Fn(FrameIndex) -> Point3<f32>) -> Vec<View> {
+    seen.sort_by(|(a, x), (b, y)| b.total_cmp(a).then(y.visible_points.cmp(&x.visible_points)).then(x.frame.cmp(&y.frame)));
+    let Some(least) = seen.first().map(|(best, _)| best * settings.min_share_of_best) else { return Vec::new() };
+    let mut pool: Vec<View> = seen.into_iter().filter(|(worth, _)| *worth >= least).map(|(_, view)| view).collect();
+    let mut chosen = vec![pool.remove(0)];
     while chosen.len() < settings.count as usize && !pool.is_empty() {
         let nearest_chosen = |view: &View| {
             let here = center(view.frame);
@@ -207,17 +274,56 @@ fn spread(mut seen: Vec<View>, settings: &ViewSettings, center: impl Fn(FrameInd
 mod tests {
     use super::*;
     use crate::scene_parsing::masks::IdImage;
+    use crate::scene_parsing::sharpness::Sharpness;
+    use image::RgbImage;
 
-    fn view(frame: u32, visible_points: u32) -> View {
-        View { frame: FrameIndex(frame), visible_points, box_px: [0, 0, 10, 10] }
+    fn view(frame: u32) -> View {
+        View { frame: FrameIndex(frame), visible_points: 9, box_px: [0, 0, 10, 10], mask: None }
+    }
+
+    fn sighting(frame: u32, whole: f32, covered_px: f32) -> Sighting {
+        Sighting { instance: InstanceId(1), view: view(frame), whole, covered_px, agreement: 0.0 }
     }
 
     #[test]
     fn the_best_view_comes_first_and_the_next_from_far_away() {
-        // Cameras stand on a line at x = frame number; frame 9 hardly sees the thing; 0 and 2 are as far from 1, 2 sees more.
-        let seen = vec![view(0, 80), view(1, 100), view(2, 90), view(6, 70), view(9, 10)];
+        // Cameras stand on a line at x = frame number; frame 9 hardly shows the thing; 0 and 2 are as far from 1, 2 shows more.
+        let seen = [(0.8, 0), (1.0, 1), (0.9, 2), (0.7, 6), (0.1, 9)]
+            .map(|(worth, frame)| (worth, view(frame)))
+            .to_vec();
         let chosen = spread(seen, &ViewSettings::default(), |f| Point3::new(f.0 as f32, 0.0, 0.0));
         assert_eq!(chosen.iter().map(|v| v.frame.0).collect::<Vec<_>>(), [1, 6, 2]);
+    }
+
+    #[test]
+    fn a_view_is_worth_more_whole_large_and_sharp() {
+        let worth = |seen: &[Sighting], sharpness: &SharpnessOfFrames| -> Vec<f32> {
+            judged(seen.to_vec(), sharpness).into_iter().map(|(worth, _)| worth).collect()
+        };
+        let nothing_known = SharpnessOfFrames::new();
+        let [half_hidden, whole, near] =
+            worth(&[sighting(0, 0.5, 30_000.0), sighting(1, 1.0, 20_000.0), sighting(2, 1.0, 30_000.0)], &nothing_known)[..]
+        else {
+            panic!("three views")
+        };
+        assert!(half_hidden < whole && whole < near);
+        let even = RgbImage::from_pixel(32, 32, image::Rgb([90; 3]));
+        let checked = RgbImage::from_fn(32, 32, |x, y| image::Rgb([if (x / 3 + y / 3) % 2 == 0 { 200 } else { 20 }; 3]));
+        let sharpness = [(0, &checked), (1, &even), (2, &checked)].map(|(f, picture)| (FrameIndex(f), Sharpness::of(picture)));
+        let found = worth(&[0, 1, 2].map(|frame| sighting(frame, 1.0, 900.0)), &sharpness.into());
+        assert!(found[0] == found[2] && found[1] < 0.5 * found[0], "{found:?}");
+    }
+
+    #[test]
+    fn what_is_beyond_the_picture_or_hidden_is_missing() {
+        let front: Vec<(f32, f32)> = (0..40).flat_map(|x| (0..40).map(move |y| (x as f32 * 2.0, y as f32 * 2.0))).collect();
+        let beside: Vec<(InstanceId, (f32, f32))> = (0..20)
+            .flat_map(|x| (0..20).map(move |y| (InstanceId(1), (80.0 + x as f32 * 4.0, y as f32 * 4.0))))
+            .collect();
+        assert_eq!((whole(&front, &[], 0, 400), whole(&front, &[], 0, 800)), (1.0, 0.5), "half of it out of the picture");
+        assert_eq!(whole(&front, &[], 400, 800), 1.0, "nothing is known to hide it");
+        let covered = whole(&front, &beside, 0, 800);
+        assert!((0.4..0.6).contains(&covered), "half of it behind something: {covered}");
     }
 
     #[test]

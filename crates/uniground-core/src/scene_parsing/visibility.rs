@@ -27,15 +27,37 @@ struct Cluster {
     points: std::ops::Range<usize>,
 }
 
-/// A point of the cloud that a frame shows.
+/// What a frame tells about a point that projects into it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sight {
+    /// It fits the measured depth.
+    Visible,
+    /// Something was measured in front of it.
+    Hidden,
+    /// Nothing was measured there, or only something behind it.
+    Unknown,
+}
+
+/// A point of the cloud that projects into a frame.
 #[derive(Debug, Clone, Copy, PartialEq)]
-pub struct VisiblePoint {
+pub struct FramePoint {
     /// Its number in the cloud.
     pub point: u32,
     /// Where it is, metres, world frame (Z up).
     pub position: Point3<f32>,
     /// Column and row of the depth image.
     pub cell: (u32, u32),
+    /// Whether the frame shows it.
+    pub sight: Sight,
+}
+
+/// Of points that are not visible, one in so many is looked up: they only tell how much of a thing is covered.
+pub const SAMPLED: u32 = 4;
+
+/// Whether a point is among those of which [`Visibility::around_frame`] also tells that they are not visible.
+#[must_use]
+pub fn is_sampled(point: u32) -> bool {
+    point.is_multiple_of(SAMPLED)
 }
 
 impl Visibility {
@@ -68,18 +90,33 @@ impl Visibility {
 
     /// The points that a frame shows, by group, with those of a group in no particular, but always the same order.
     #[must_use]
-    pub fn in_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<VisiblePoint> {
+    pub fn in_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
+        self.look(camera, depth, |_, sight| sight == Sight::Visible)
+    }
+
+    /// As [`in_frame`](Self::in_frame), and with them a sample of those that lie within the picture unseen; see [`is_sampled`].
+    #[must_use]
+    pub fn around_frame(&self, camera: &Camera, depth: &DepthImage) -> Vec<FramePoint> {
+        self.look(camera, depth, |point, sight| sight == Sight::Visible || is_sampled(point))
+    }
+
+    fn look(&self, camera: &Camera, depth: &DepthImage, keep: impl Fn(u32, Sight) -> bool + Sync) -> Vec<FramePoint> {
         self.clusters
             .par_iter()
             .with_min_len(64)
             .filter(|cluster| camera.may_show(&cluster.center, cluster.radius_m))
             .flat_map_iter(|cluster| &self.points[cluster.points.clone()])
-            .filter_map(|(position, point)| {
-                let pixel = camera.project(position)?;
+            .filter_map(|&(position, point)| {
+                let pixel = camera.project(&position)?;
                 let cell = pixel.cell();
                 let depth_m = depth.at(cell);
-                let visible = depth_m > 0.0 && (pixel.z_m - depth_m).abs() <= self.depth_tolerance * depth_m;
-                visible.then_some(VisiblePoint { point: *point, position: *position, cell })
+                let (behind_m, tolerance_m) = (pixel.z_m - depth_m, self.depth_tolerance * depth_m);
+                let sight = match depth_m > 0.0 {
+                    true if behind_m.abs() <= tolerance_m => Sight::Visible,
+                    true if behind_m > tolerance_m => Sight::Hidden,
+                    _ => Sight::Unknown,
+                };
+                keep(point, sight).then_some(FramePoint { point, position, cell, sight })
             })
             .collect()
     }
@@ -108,6 +145,18 @@ mod tests {
         let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
         let seen = Visibility::new(&cloud, &[0; 6], 0.05).in_frame(&camera, &depth);
         assert_eq!(seen.iter().map(|seen| (seen.point, seen.cell)).collect::<Vec<_>>(), [(0, (0, 0)), (1, (1, 0))]);
+    }
+
+    #[test]
+    fn of_points_that_are_not_visible_a_sample_is_told() {
+        let (camera, depth) = look();
+        let at = |u: f32, v: f32, z: f32| camera.intrinsics.unproject(u, v, z);
+        let positions = [[at(0.0, 0.0, 2.0); 8], [at(1.0, 0.0, 3.0); 8], [at(2.0, 0.0, 1.0); 8], [at(3.0, 3.0, 2.0); 8]].concat();
+        let cloud = PointCloud { colours: vec![[0; 3]; positions.len()], positions };
+        let seen = Visibility::new(&cloud, &[0; 32], 0.05).around_frame(&camera, &depth);
+        let count = |sight, points: std::ops::Range<u32>| seen.iter().filter(|p| p.sight == sight && points.contains(&p.point)).count();
+        assert_eq!((count(Sight::Visible, 0..8), count(Sight::Hidden, 8..16), count(Sight::Unknown, 16..32)), (8, 2, 4));
+        assert_eq!(seen.len(), 14);
     }
 
     proptest! {

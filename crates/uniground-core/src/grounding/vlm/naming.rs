@@ -10,7 +10,7 @@ use crate::scene::InstanceId;
 use std::collections::BTreeMap;
 
 /// Raised when what models are told to name instances changes: names given before are asked for again.
-pub const NAMING_VERSION: u32 = 1;
+pub const NAMING_VERSION: u32 = 2;
 
 /// Name and version of a model as it names instances, recorded with answers.
 #[must_use]
@@ -27,7 +27,10 @@ const SYSTEM: &str = "You name objects in photographs.";
 /// Longer names are descriptions.
 const MAX_NAME_CHARS: usize = 80;
 
-/// A sheet of instances to be named, and the ids on it: those that can be seen. `None` where none can.
+/// What covers fewer pixels of its best photograph nobody can name.
+const LEAST_PX: f32 = 12.0 * 12.0;
+
+/// A sheet of instances to be named, and the ids on it: those that can be seen well enough. `None` where none can.
 ///
 /// # Errors
 /// The cloud can not be read.
@@ -44,13 +47,14 @@ pub(super) fn contact_sheet<S: SceneSource>(source: &S, name: String, ids: &[Ins
     let shots: Vec<_> = ids
         .iter()
         .filter_map(|&id| Some((id, source.shots(id, 1, &render_scene).into_iter().next()?)))
+        .filter(|(_, shot)| shot.covered_px() >= LEAST_PX)
         .collect();
     let seen = shots.iter().map(|(id, _)| id.0).collect();
     Ok((!shots.is_empty()).then(|| (sheet(name, &shots), seen)))
 }
 
 fn sheet(name: String, shots: &[(InstanceId, Shot)]) -> Picture {
-    let tiles: Vec<_> = shots.iter().map(|(id, shot)| (id.0, shot.crop.clone())).collect();
+    let tiles: Vec<_> = shots.iter().map(|(id, shot)| (id.0, shot)).collect();
     encoded(name, &mosaic(&tiles, COLUMNS.min(tiles.len() as u32), TILE_PX))
 }
 
@@ -60,10 +64,11 @@ pub fn request(sheet: Picture, ids: &[u32]) -> ChatRequest {
     let list = ids.iter().map(|id| format!("ID {id}")).collect::<Vec<_>>().join(", ");
     let text = format!(
         "The image shows one object per tile, cut from pictures of a room, each under its ID: {list}. Give each a descriptive name of \
-         three to eight words: the noun, with its colour, material or shape. Name what fills the middle of the tile. A wall, floor or \
-         ceiling, or a piece of one, is \"structure: \" and its name. What is only a part of a thing is \"part of \" and that thing's \
-         name. Say \"unclear\" where you can not tell, and \"not a thing\" where there is none. Answer with one line per object, nothing \
-         else:\nID -> name"
+         three to eight words: the noun, with its colour, material or shape. Name what the yellow line runs around, or where there is \
+         none what fills the middle; the rest of a tile only shows where it is. A wall, floor or ceiling, or a piece of one, is \
+         \"structure: \" and its name. What is only a part of a thing is \"part of \" and that thing's name. Say \"unclear\" where you \
+         can not tell, and \"not a thing\" where there is none. Answer with one line per object, nothing else:
+ID -> name"
     );
     ChatRequest { system: SYSTEM.into(), user: vec![Part::Picture(sheet), Part::Text(text)], schema: None }
 }

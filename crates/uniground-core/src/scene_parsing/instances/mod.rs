@@ -207,7 +207,7 @@ fn structures(shapes: &[Shape], members: &[Vec<u32>], superpoints: &Superpoints,
 /// How well masks agree with each of the numbered regions, `0..=1`; `None` where no frame sees it.
 fn agreement(count: usize, sightings: &[Sighting]) -> Vec<Option<f32>> {
     let mut sums = vec![(0.0, 0.0); count];
-    for Sighting { instance, view, agreement } in sightings {
+    for Sighting { instance, view, agreement, .. } in sightings {
         let (sum, weight) = &mut sums[instance.0 as usize - 1];
         *sum += view.visible_points as f32 * agreement;
         *weight += view.visible_points as f32;
@@ -305,7 +305,9 @@ mod tests {
     fn agreement_is_weighed_by_what_a_frame_shows_and_unseen_regions_have_none() {
         let seen = |instance, frame, visible_points, agreement| Sighting {
             instance: InstanceId(instance),
-            view: View { frame: FrameIndex(frame), visible_points, box_px: [0, 0, 9, 9] },
+            view: View { frame: FrameIndex(frame), visible_points, box_px: [0, 0, 9, 9], mask: None },
+            whole: 1.0,
+            covered_px: 81.0,
             agreement,
         };
         let found = agreement(3, &[seen(1, 0, 300, 0.8), seen(3, 0, 50, 0.0), seen(1, 1, 100, 0.4)]);
@@ -332,7 +334,9 @@ mod tests {
         let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; 4] };
         let seen = |instance, agreement| Sighting {
             instance: InstanceId(instance),
-            view: View { frame: FrameIndex(0), visible_points: 100, box_px: [0, 0, 9, 9] },
+            view: View { frame: FrameIndex(0), visible_points: 100, box_px: [0, 0, 9, 9], mask: None },
+            whole: 1.0,
+            covered_px: 81.0,
             agreement,
         };
         let sightings = vec![seen(1, 0.9), seen(2, 0.1), seen(3, 0.5), seen(4, 0.9)];
