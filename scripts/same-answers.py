@@ -22,7 +22,7 @@ VARIANTS = [
 
 class Server:
     def __init__(self, program, folder):
-        command = [program, "serve", "--listen", "127.0.0.1:0", "--data-dir", folder]
+        command = [program, "serve", "--listen", "127.0.0.1:0", "--data-dir", folder, "--masks", "rgbd", "--encoder", "attributes"]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
         self.url = self.process.stdout.readline().split()[-1]
 

@@ -17,7 +17,7 @@ trap '[ -z "$server" ] || { kill "$server" && wait "$server" || true; }; rm -rf 
 # With a key, as a server for others has one.
 export UNIGROUND_API_KEY=ug_schemathesis_0123456789
 show=(-H "Authorization: Bearer $UNIGROUND_API_KEY")
-./target/release/uniground serve --listen 127.0.0.1:0 --data-dir "$data/data" >"$data/out" 2>"$data/log" &
+./target/release/uniground serve --listen 127.0.0.1:0 --data-dir "$data/data" --masks builtin --encoder builtin >"$data/out" 2>"$data/log" &
 server=$!
 for _ in $(seq 100); do
     url=$(sed -n 's/^listening on //p' "$data/out")

@@ -10,9 +10,9 @@ if [ ! -d "$shared/golden" ]; then
     exit
 fi
 
-scripts/fetch-models.sh onnxruntime sam2 clip-image
-cp "$shared"/clip-vitb16-lite/{model.json,text.onnx,tokenizer.json} models/clip-vitb16-lite/
-chmod u+w models/clip-vitb16-lite/*
+# The program and the tests in one build.
+${CARGO:-cargo} test --release --locked --quiet --test integration --no-run
+./target/release/uniground models fetch
 
 venv=.venv-models
 [ -x $venv/bin/python ] || "${PYTHON:-python3}" -m venv $venv

@@ -1,7 +1,7 @@
 //! Composition root: configuration to parts to a running service to a clean stop. The only place that knows every part.
 
 use crate::chat::{ChatClient, ReplayCache};
-use crate::config::ServeConfig;
+use crate::config::{ChosenModels, ServeConfig};
 use crate::http::{self, AllowedHosts, App, MAX_EVENT_STREAMS};
 use crate::inference::Probe;
 use crate::jobs::{JobKind, Jobs};
@@ -53,7 +53,9 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         let config = config.models.clone();
         move || config.load()
     });
-    let models = models.await??;
+    let ChosenModels { models, told, warnings } = models.await??;
+    warnings.iter().for_each(|warning| tracing::warn!("{warning}"));
+    tracing::info!("{told}");
     for model in &models.loaded {
         tracing::info!(name = model.name, fingerprint = model.fingerprint, runs_on = model.runs_on, "loaded a model");
     }

@@ -1,14 +1,19 @@
 //! Configuration: every flag is also an environment variable; units are in the names.
 
+mod choice;
+mod models;
+mod registries;
 mod retention;
 
+pub use choice::ChosenModels;
+pub use models::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS, BundlesConfig, LIBRARY_FOLDER, ModelsConfig, RuntimeConfig};
+pub use registries::registries;
 pub use retention::RetentionConfig;
 
 use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
-use crate::inference::RemoteServer;
 use crate::service::Limits;
+use crate::telemetry;
 use crate::webhook::Webhook;
-use crate::{telemetry, words};
 use anyhow::{Context, bail, ensure};
 use camino::Utf8PathBuf;
 use std::fs;
@@ -16,7 +21,6 @@ use std::net::SocketAddr;
 use std::time::Duration;
 use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::models::chat::Prices;
-use uniground_core::models::neural::{Engine, Models, OnnxRuntime, Provider, RuntimeSettings, folder_of};
 
 const DEFAULT_MAX_UPLOAD_BYTES: u64 = 16 << 30;
 const DEFAULT_MAX_QUEUED_JOBS: u32 = 100;
@@ -42,6 +46,9 @@ pub struct ServeConfig {
     pub access: AccessConfig,
     #[command(flatten)]
     pub models: ModelsConfig,
+    /// Fetch what --masks and --encoder want and do not find, checked, before the server starts; without a network it starts all the same
+    #[arg(long, env = "UNIGROUND_FETCH_MODELS")]
+    pub fetch_models: bool,
     #[command(flatten)]
     pub vlm: VlmConfig,
     #[command(flatten)]
@@ -197,124 +204,6 @@ impl VlmConfig {
         let endpoint = Endpoint { base_url, model, api_key, prices, concurrency: self.vlm_concurrency as usize };
         let client = ChatClient::new(endpoint, patience, replay_cache).context("a client for the model's server")?;
         Ok(Some(client))
-    }
-}
-
-/// The mask source that needs no model.
-pub const BUILTIN_MASKS: &str = "rgbd";
-/// The encoder that needs no model.
-pub const BUILTIN_ENCODER: &str = "attributes";
-
-/// Neural models: bundles of ONNX networks, run here or behind an inference server.
-#[derive(Debug, Clone, clap::Args)]
-pub struct ModelsConfig {
-    /// Where 2D masks come from: rgbd (built in), or a segmenter's bundle, by name or folder; several joined by + all have a vote
-    #[arg(long, env = "UNIGROUND_MASKS", default_value = BUILTIN_MASKS, value_name = "BUNDLE")]
-    pub masks: String,
-    /// What compares pictures and words: attributes (built in), or a dual encoder's bundle, by name or folder
-    #[arg(long, env = "UNIGROUND_ENCODER", default_value = BUILTIN_ENCODER, value_name = "BUNDLE")]
-    pub encoder: String,
-    #[command(flatten)]
-    pub bundles: BundlesConfig,
-}
-
-/// Where bundles lie and what runs them.
-#[allow(clippy::doc_markdown, rustdoc::invalid_html_tags)] // Help is no Markdown.
-#[derive(Debug, Clone, clap::Args)]
-pub struct BundlesConfig {
-    /// Folder with model bundles
-    #[arg(long, env = "UNIGROUND_MODELS", default_value = "./models", value_name = "FOLDER")]
-    pub models: Utf8PathBuf,
-    #[command(flatten)]
-    pub runtime: RuntimeConfig,
-    /// Run the bundles' networks at this inference server (KServe v2 protocol) instead of here, under the names <bundle>-<file>
-    #[arg(long, env = "UNIGROUND_INFERENCE_URL", value_name = "URL")]
-    pub inference_url: Option<String>,
-    /// How long one call to the inference server may take, seconds
-    #[arg(long, env = "UNIGROUND_INFERENCE_TIMEOUT_S", default_value_t = DEFAULT_INFERENCE_TIMEOUT_S, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..))]
-    pub inference_timeout_s: u64,
-}
-
-/// The library that runs networks on this machine.
-#[allow(clippy::doc_markdown)] // Help is no Markdown.
-#[derive(Debug, Clone, Default, clap::Args)]
-pub struct RuntimeConfig {
-    /// ONNX Runtime's library [default: ORT_DYLIB_PATH, ./.onnxruntime/libonnxruntime.so, or beside the executable]
-    #[arg(long, env = "UNIGROUND_ONNXRUNTIME_LIB", value_name = "FILE")]
-    pub onnxruntime_lib: Option<Utf8PathBuf>,
-    /// What networks run on; one that is not there is an error
-    #[arg(long, env = "UNIGROUND_PROVIDER", default_value_t, value_name = "PROVIDER", value_parser = words::provider())]
-    pub provider: Provider,
-    /// Cores a network may use [default: all]
-    #[arg(long, env = "UNIGROUND_MODEL_THREADS", value_name = "COUNT", value_parser = clap::value_parser!(u16).range(1..))]
-    pub model_threads: Option<u16>,
-}
-
-const DEFAULT_INFERENCE_TIMEOUT_S: u64 = 60;
-
-impl Default for ModelsConfig {
-    fn default() -> Self {
-        Self { masks: BUILTIN_MASKS.into(), encoder: BUILTIN_ENCODER.into(), bundles: BundlesConfig::default() }
-    }
-}
-
-impl Default for BundlesConfig {
-    fn default() -> Self {
-        Self {
-            models: "./models".into(),
-            runtime: RuntimeConfig::default(),
-            inference_url: None,
-            inference_timeout_s: DEFAULT_INFERENCE_TIMEOUT_S,
-        }
-    }
-}
-
-impl BundlesConfig {
-    /// The engine that runs networks. Blocks: not for asynchronous code.
-    ///
-    /// # Errors
-    /// What is wrong with the library; an address that is none.
-    pub fn engine(&self) -> anyhow::Result<Box<dyn Engine>> {
-        Ok(match &self.inference_url {
-            Some(url) => {
-                telemetry::hide_secrets_of(url);
-                ensure!(reqwest::Url::parse(url).is_ok_and(|url| url.has_host()), "--inference-url: this is not an address");
-                Box::new(RemoteServer::new(url, Duration::from_secs(self.inference_timeout_s))?)
-            }
-            None => Box::new(OnnxRuntime::load(&self.runtime.settings())?),
-        })
-    }
-}
-
-impl RuntimeConfig {
-    #[must_use]
-    pub fn settings(&self) -> RuntimeSettings {
-        let Self { onnxruntime_lib, provider, model_threads } = self;
-        RuntimeSettings { library: onnxruntime_lib.clone(), provider: *provider, threads: model_threads.map(usize::from) }
-    }
-}
-
-impl ModelsConfig {
-    /// Loads what is configured; nothing when the built-in parts are. Blocks: not for asynchronous code.
-    ///
-    /// # Errors
-    /// What is wrong with the library or a bundle; an inference server that can not be reached.
-    pub fn load(&self) -> anyhow::Result<Models> {
-        let (masks, encoder) = (self.masks != BUILTIN_MASKS, self.encoder != BUILTIN_ENCODER);
-        let mut models = Models::default();
-        if !masks && !encoder {
-            return Ok(models);
-        }
-        let (engine, bundles) = (self.bundles.engine()?, &self.bundles.models);
-        if masks {
-            for bundle in self.masks.split('+') {
-                models = models.with_segmenter(engine.as_ref(), &folder_of(bundle, bundles)).context("--masks")?;
-            }
-        }
-        if encoder {
-            models = models.with_encoder(engine.as_ref(), &folder_of(&self.encoder, bundles)).context("--encoder")?;
-        }
-        Ok(models)
     }
 }
 

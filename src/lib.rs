@@ -9,6 +9,7 @@ pub mod http;
 pub mod inference;
 pub mod jobs;
 pub mod metrics;
+pub mod packages;
 pub mod service;
 pub mod store;
 pub mod telemetry;

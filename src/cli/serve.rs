@@ -1,10 +1,23 @@
 //! `uniground serve`: the service, until SIGTERM or Ctrl-C.
 
+use super::fetching::{fetch_all, wanted};
 use crate::app;
-use crate::config::ServeConfig;
+use crate::config::{LIBRARY_FOLDER, ServeConfig};
+use crate::packages::Places;
 use crate::telemetry;
-use std::io::Write;
+use std::io::{self, Write};
 use tokio::signal::unix::{SignalKind, signal};
+
+/// Fetches what the server would use and does not find, if that is wished. Whatever becomes of it, the server can start.
+pub fn fetch(config: &ServeConfig) {
+    if !config.fetch_models {
+        return;
+    }
+    let places = Places { models: config.models.bundles.models.clone(), library: LIBRARY_FOLDER.into() };
+    if let Err(error) = fetch_all(&wanted(&config.models), &places, &mut io::stderr()) {
+        eprintln!("{error:#}; the server goes on with what is there");
+    }
+}
 
 pub async fn run(config: &ServeConfig) -> anyhow::Result<()> {
     // Sends what is left when this ends.
@@ -13,7 +26,7 @@ pub async fn run(config: &ServeConfig) -> anyhow::Result<()> {
     let mut interrupt = signal(SignalKind::interrupt())?;
     let mut running = app::start(config).await?;
     println!("listening on http://{}", running.address);
-    std::io::stdout().flush()?;
+    io::stdout().flush()?;
     tokio::select! {
         _ = terminate.recv() => tracing::info!("SIGTERM: stopping"),
         _ = interrupt.recv() => tracing::info!("interrupted: stopping"),

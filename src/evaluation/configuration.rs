@@ -1,6 +1,6 @@
 //! What is varied in a run: one [`Configuration`] per cell of the table, from `axis=value,value;axis=…`.
 
-use crate::config::{BUILTIN_ENCODER, BUILTIN_MASKS};
+use crate::config::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS};
 use anyhow::{Context, bail, ensure};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -168,8 +168,8 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
         "ablation" => configuration.ablation = word(axis, value, "full, no_global, no_candidate, simple_prompt")?,
         "evidence" => configuration.evidence = word(axis, value, "full, cached_names, sheet, two_step")?,
         "convention" => configuration.convention = word(axis, value, "paper, viewer")?,
-        "masks" => value.clone_into(&mut configuration.masks),
-        "encoder" => value.clone_into(&mut configuration.encoder),
+        "masks" => configuration.masks = bundle(axis, value, BUILTIN_MASKS)?,
+        "encoder" => configuration.encoder = bundle(axis, value, BUILTIN_ENCODER)?,
         "top_k" => match value.parse() {
             Ok(top_k) if (1..=MAX_TOP_K).contains(&top_k) => configuration.top_k = top_k,
             _ => bail!("top_k={value}: expected 1 to {MAX_TOP_K}"),
@@ -179,6 +179,12 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
         ),
     }
     Ok(())
+}
+
+/// A bundle's name, or the built-in part's own: a figure says what it was measured with.
+fn bundle(axis: &str, value: &str, builtin: &str) -> anyhow::Result<String> {
+    ensure!(value != AUTO, "{axis}={AUTO}: a figure must say what it was measured with: {builtin}, or a bundle's name");
+    Ok(if value == BUILTIN { builtin } else { value }.to_owned())
 }
 
 /// A value in the words the HTTP contract uses.
@@ -215,6 +221,13 @@ mod tests {
     }
 
     #[test]
+    fn built_in_parts_go_by_their_own_names() {
+        let cells = cells("masks=builtin,mine;encoder=builtin", &Configuration::default()).unwrap();
+        let used: Vec<(&str, &str)> = cells.iter().map(|(_, c)| (c.masks.as_str(), c.encoder.as_str())).collect();
+        assert_eq!(used, [(BUILTIN_MASKS, BUILTIN_ENCODER), ("mine", BUILTIN_ENCODER)]);
+    }
+
+    #[test]
     fn what_is_not_there_is_told_with_what_is() {
         for (matrix, expected) in [
             ("sources=oracle", "the axes are source"),
@@ -223,6 +236,7 @@ mod tests {
             ("top_k", "expected axis=value"),
             ("top_k=3;top_k=5", "given twice"),
             ("source=", "has no values"),
+            ("encoder=builtin,auto", "must say what it was measured with"),
             ("parsing.merging.max_hop=9", "max_hop: must be 1 to 4"),
             ("parsing.merge.max_hop=1", "unknown field `merge`"),
         ] {

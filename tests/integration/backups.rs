@@ -54,7 +54,7 @@ async fn backed_up(data: &Utf8Path, to: &Utf8Path) -> BackedUp {
 async fn restored(from: &Utf8Path) -> TestServer {
     let data = tempfile::tempdir().unwrap();
     restore(Source::of(from), Utf8Path::from_path(data.path()).unwrap()).await.unwrap();
-    TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await
+    TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await
 }
 
 /// Asks, uploads and deletes until it is told to stop.

@@ -199,7 +199,7 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     assert_eq!((names("blobs/checkpoints").len(), names("quarantine")), (0, vec!["2999-01-01".to_owned()]));
     assert!(told(&gc(folder, &["--json"])).values().all(|gone| gone.0 == 0), "nothing is left to do");
 
-    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
     assert_eq!(server.client.answer(&answer).await.unwrap().scene_id, scene);
     assert_eq!(server.client.scene(&scene).await.unwrap().job_id, Some(format!("{OLD}7")));
     assert_eq!(server.client.batch(&paused).await.unwrap().state, BatchState::Paused);

@@ -42,7 +42,7 @@ async fn what_no_record_speaks_of_goes_to_the_quarantine() {
     let folder = Utf8Path::from_path(data.path()).unwrap();
     fs::create_dir(folder.join("blobs/parses/stranger")).unwrap();
     fs::write(folder.join("blobs/parses/stranger/cloud.ply"), "points").unwrap();
-    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
     assert!(!server.stored("blobs/parses").contains(&"stranger".to_owned()));
     let day = only(&server.data().join("quarantine"));
     assert_eq!(fs::read_to_string(day.join("parses/stranger/cloud.ply")).unwrap(), "points");
@@ -54,7 +54,7 @@ async fn what_no_record_speaks_of_goes_to_the_quarantine() {
     let mut rows = database(folder).await;
     sqlx::query("UPDATE data_folder SET id = 'elsewhere'").execute(&mut rows).await.unwrap();
     rows.close().await.unwrap();
-    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
     assert!(server.stored("blobs/parses").contains(&"another".to_owned()));
     assert_eq!(server.client.scene(&scene.id).await.unwrap().id, scene.id);
     server.stop().await;
@@ -124,7 +124,7 @@ async fn a_disk_that_is_nearly_full_takes_no_more_scans() {
     let scene = server.parsed(Scan::neutral().zip()).await;
     let data = server.give_back().await;
     let limits = LimitsConfig { keep_free_bytes: 1 << 60, ..LimitsConfig::default() };
-    let server = TestServer::start_on(data, limits, VlmConfig::default(), ModelsConfig::default()).await;
+    let server = TestServer::start_on(data, limits, VlmConfig::default(), ModelsConfig::builtin()).await;
     let refused = problem(server.client.create_scene(None, "application/zip", Scan::neutral().zip()).await);
     assert_eq!((refused.status, refused.code.as_str()), (507, "storage_full"));
     let parse = serde_json::json!({"settings": {"parsing": {"merging": {"keep_planes_apart": false}}}});

@@ -21,7 +21,7 @@ const PACKAGES: [(&str, Floors); 3] = [
             &["error"],
             &["jobs"],
             &["store"],
-            &["chat", "inference", "metrics", "webhook", "words"],
+            &["chat", "inference", "metrics", "packages", "webhook", "words"],
             &["trace_context"],
         ],
     ),

@@ -20,6 +20,7 @@ mod language;
 mod layering;
 mod litellm;
 mod logs;
+mod model_choice;
 mod neural;
 mod openapi;
 mod real_models;

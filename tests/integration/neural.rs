@@ -126,7 +126,7 @@ async fn a_scene_parsed_with_another_encoder_says_so() {
     let server = server_with(ModelsConfig { masks: "rgbd".into(), ..tiny() }).await;
     let scene = server.parsed(sample()).await.id;
     let data = server.give_back().await;
-    let plain = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+    let plain = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
     let error = problem(plain.client.ground(&scene, &ask("the sofa")).await);
     assert_eq!((error.status, error.code.as_str()), (409, "encoder_changed"));
     assert!(error.detail.contains("tiny-dual-encoder@") && error.detail.contains("attributes-2"), "{}", error.detail);

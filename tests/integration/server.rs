@@ -30,7 +30,7 @@ impl TestServer {
     }
 
     pub async fn start_configured(limits: LimitsConfig, vlm: VlmConfig) -> Self {
-        Self::start_on(tempfile::tempdir().unwrap(), limits, vlm, ModelsConfig::default()).await
+        Self::start_on(tempfile::tempdir().unwrap(), limits, vlm, ModelsConfig::builtin()).await
     }
 
     /// A server on a data folder that may have been another server's.
@@ -40,6 +40,7 @@ impl TestServer {
             data_dir: Utf8PathBuf::try_from(data.path().to_owned()).unwrap(),
             access: AccessConfig::default(),
             models,
+            fetch_models: false,
             vlm,
             webhook: WebhookConfig::default(),
             limits,
@@ -166,6 +167,8 @@ pub fn command(data: &Utf8Path, listen: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
     command
         .args(["serve", "--listen", listen, "--data-dir", data.as_str()])
-        .env_remove("UNIGROUND_API_KEY");
+        .env_remove("UNIGROUND_API_KEY")
+        // Whatever lies in the folder it runs in; a test that wants models says so.
+        .envs([("UNIGROUND_MASKS", "builtin"), ("UNIGROUND_ENCODER", "builtin")]);
     command
 }

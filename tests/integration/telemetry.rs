@@ -196,7 +196,7 @@ async fn metrics_and_stats_tell_what_was_done() {
     // Sizes are measured behind everybody's back, and those of the start are of a folder that was empty.
     let data = server.data().to_owned();
     let restarted =
-        TestServer::start_on(server.give_back().await, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+        TestServer::start_on(server.give_back().await, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
     let sizes = loop {
         if let Some(sizes) = restarted.client.stats().await.unwrap().disk.blob_bytes {
             break sizes;

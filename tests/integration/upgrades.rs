@@ -50,7 +50,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     }
     let answers_told = String::from_utf8(left.told("answers.jsonl")).unwrap();
     let Left { data, told: _told } = left;
-    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
     let get = async |path: &str| server.client.bytes(path).await.unwrap();
 
     let scenes = server.client.scenes(10, None).await.unwrap().scenes;
@@ -227,7 +227,7 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
         let Left { data, told: _told } = left;
         let folder = Utf8Path::from_path(data.path()).unwrap();
         rebuild(folder, schema).await;
-        let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::default()).await;
+        let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
         let client = &Client::new(&server.url(), Some(SECRET.into())).unwrap();
         let [scene]: [Scene; 1] = client.scenes(10, None).await.unwrap().scenes.try_into().unwrap();
         assert_eq!(

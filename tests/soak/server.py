@@ -14,6 +14,8 @@ class Server:
 
     def __init__(self, program, data, log, *flags):
         environment = {name: value for name, value in os.environ.items() if not name.startswith("UNIGROUND_")}
+        # Whatever lies in ./models: what is measured here needs none.
+        environment |= {"UNIGROUND_MASKS": "builtin", "UNIGROUND_ENCODER": "builtin"}
         command = [program, "serve", "--listen", "127.0.0.1:0", "--data-dir", data, "--log-format", "json", *flags]
         with open(log, "ab") as log_file:
             self.process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=log_file, env=environment)

@@ -95,7 +95,7 @@ impl InProcess {
             return Ok(models.clone());
         }
         let config = ModelsConfig { masks: masks.clone(), encoder: encoder.clone(), bundles: self.bundles.clone() };
-        let models = config.load()?;
+        let models = config.load()?.models;
         loaded.insert((masks, encoder), models.clone());
         Ok(models)
     }

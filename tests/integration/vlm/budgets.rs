@@ -49,7 +49,7 @@ async fn money_ends() {
     let answer = server.client.ground(&scene, &ask(QUERY)).await.unwrap();
     assert!(answer.degraded && corrections(&answer).contains("budget of today"), "{}", corrections(&answer));
     let data = server.give_back().await;
-    let server = TestServer::start_on(data, LimitsConfig::default(), dear, ModelsConfig::default()).await;
+    let server = TestServer::start_on(data, LimitsConfig::default(), dear, ModelsConfig::builtin()).await;
     let error = problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await);
     assert_eq!((error.code.as_str(), script.calls()), ("budget_spent", paid));
     server.stop().await;
@@ -116,7 +116,7 @@ async fn what_may_be_billed_counts_and_outlives_the_server() {
         .await
         .unwrap();
     database.close().await.unwrap();
-    let server = TestServer::start_on(data, LimitsConfig::default(), dear, ModelsConfig::default()).await;
+    let server = TestServer::start_on(data, LimitsConfig::default(), dear, ModelsConfig::builtin()).await;
     assert_eq!(problem(server.client.ground(&scene, &by(ReasonerChoice::Vlm)).await).code, "budget_spent");
     assert!(spent(&server).await.0 > 99.0);
     server.stop().await;

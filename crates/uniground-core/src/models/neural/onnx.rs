@@ -94,12 +94,20 @@ const LIBRARY_FILE: &str = if cfg!(target_os = "macos") {
 };
 
 impl OnnxRuntime {
+    /// Finds the library, as [`load`](Self::load) does, without loading it.
+    ///
+    /// # Errors
+    /// [`ModelError`]: where it was looked for.
+    pub fn find(settings: &RuntimeSettings) -> Result<Utf8PathBuf, ModelError> {
+        find_library(settings.library.as_deref())
+    }
+
     /// Finds and loads the library: the one told, that of `ORT_DYLIB_PATH`, `./.onnxruntime/`, or one beside the executable.
     ///
     /// # Errors
     /// [`ModelError`]: no library, one that can not be used, or one without the provider asked for.
     pub fn load(settings: &RuntimeSettings) -> Result<Self, ModelError> {
-        let library = find_library(settings.library.as_deref())?;
+        let library = Self::find(settings)?;
         let unusable = |why: String| ModelError::BadLibrary { library: library.clone(), why };
         let mut loaded = LOADED.lock().unwrap_or_else(PoisonError::into_inner);
         let environment = match &*loaded {

@@ -16,7 +16,7 @@ pub fn engine() -> OnnxRuntime {
     let named = std::env::var("ORT_DYLIB_PATH").is_ok();
     let library = (!named).then(|| Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("../../.onnxruntime/libonnxruntime.so"));
     let settings = RuntimeSettings { library, threads: Some(2), ..RuntimeSettings::default() };
-    OnnxRuntime::load(&settings).unwrap_or_else(|e| panic!("{e}; scripts/fetch-models.sh onnxruntime fetches it"))
+    OnnxRuntime::load(&settings).unwrap_or_else(|e| panic!("{e}; uniground models fetch onnxruntime fetches it"))
 }
 
 pub fn tiny_encoder() -> Arc<DualEncoder> {

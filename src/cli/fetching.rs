@@ -1,0 +1,101 @@
+//! Packages fetched for somebody who watches: a bar on a terminal, a line a package elsewhere, a line a file that is in place.
+
+use crate::config::{ModelsConfig, registries};
+use crate::packages::{Event, Home, PARTS, Part, Places, fetch};
+use anyhow::bail;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::{self, IsTerminal, Write};
+use uniground_core::models::neural::{OnnxRuntime, Role};
+
+/// Fetches one part after the other; one that fails keeps nobody from the rest. What is in place is told on `out`, the rest on stderr.
+///
+/// # Errors
+/// How many could not be fetched, after each was told; an address of a registry that is none.
+pub fn fetch_all(parts: &[&Part], places: &Places, out: &mut dyn Write) -> anyhow::Result<()> {
+    let registries = registries()?;
+    let mut failed = Vec::new();
+    for part in parts {
+        let mut shown = Shown { bar: None, out };
+        let fetched = fetch(part, places, &registries, &mut |event| shown.tell(event));
+        if let Some(bar) = shown.bar.take() {
+            bar.finish_and_clear();
+        }
+        if let Err(error) = fetched {
+            eprintln!("{error}");
+            failed.push(part.name);
+        }
+    }
+    match failed.is_empty() {
+        true => Ok(()),
+        false => bail!("could not be fetched: {}", failed.join(", ")),
+    }
+}
+
+/// What a server with these flags would use and does not find. A library that is found anywhere will do.
+pub fn wanted(config: &ModelsConfig) -> Vec<&'static Part> {
+    let uses = |name: &str| config.wants(Role::Masks, name) || config.wants(Role::Encoder, name);
+    let is_bundle_wanted = |part: &&Part| matches!(part.home, Home::Bundle(name) if uses(name));
+    let bundles: Vec<&Part> = PARTS.iter().filter(is_bundle_wanted).collect();
+    let is_library_wanted =
+        !bundles.is_empty() && config.bundles.is_usual() && OnnxRuntime::find(&config.bundles.runtime.settings()).is_err();
+    let library = PARTS.iter().filter(|part| is_library_wanted && part.home == Home::Library);
+    library.chain(bundles).collect()
+}
+
+struct Shown<'a> {
+    bar: Option<ProgressBar>,
+    out: &'a mut dyn Write,
+}
+
+impl Shown<'_> {
+    fn tell(&mut self, event: Event) {
+        match event {
+            Event::There(folder) => self.line(&format!("{folder} is there")),
+            Event::Placed(file) => self.line(file.as_str()),
+            Event::Begins(package, bytes) if io::stderr().is_terminal() => self.bar = Some(bar(package, bytes)),
+            Event::Begins(package, bytes) => eprintln!("fetching {package}, {:.1} MB", bytes as f64 / 1e6),
+            Event::Received(bytes) => self.bar.iter().for_each(|bar| bar.set_position(bytes)),
+            Event::Arrived => self.bar.take().into_iter().for_each(|bar| bar.finish_and_clear()),
+        }
+    }
+
+    fn line(&mut self, text: &str) {
+        // Nobody has to listen: files are in place all the same.
+        let _told = writeln!(self.out, "{text}");
+    }
+}
+
+const TEMPLATE: &str = "{msg} {bar:30} {bytes}/{total_bytes}, {eta} left";
+
+fn bar(package: String, bytes: u64) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(bytes), ProgressDrawTarget::stderr());
+    if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
+        bar.set_style(style);
+    }
+    bar.with_message(package)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names(masks: &str, encoder: &str) -> Vec<&'static str> {
+        let mut config = ModelsConfig { masks: masks.into(), encoder: encoder.into(), ..ModelsConfig::builtin() };
+        // A library somebody named: the usual one is nobody's wish.
+        config.bundles.runtime.onnxruntime_lib = Some("elsewhere.so".into());
+        wanted(&config).iter().map(|part| part.name).collect()
+    }
+
+    #[test]
+    fn only_what_would_be_used_is_wanted() {
+        assert_eq!(names("auto", "auto"), ["sam2", "clip"]);
+        assert_eq!(names("builtin", "auto"), ["clip"]);
+        assert_eq!(names("mine+sam2-hiera-tiny", "attributes"), ["sam2"]);
+        assert!(names("rgbd", "pe-l14").is_empty());
+    }
+
+    #[test]
+    fn the_template_of_the_bar_is_one() {
+        assert!(ProgressStyle::with_template(TEMPLATE).is_ok());
+    }
+}

@@ -1,0 +1,131 @@
+//! Which registries packages come from: those their own tools are told, else the public ones.
+//!
+//! Only addresses are read: an `.npmrc` holds tokens as well, and those are none of our business.
+
+use crate::packages::{Registries, Registry};
+use anyhow::Context;
+use camino::Utf8PathBuf;
+use reqwest::Url;
+use std::fs;
+
+const PYPI: &str = "https://pypi.org/simple";
+const NPM: &str = "https://registry.npmjs.org";
+/// Pip's file for the whole machine.
+const PIP_CONF: &str = "/etc/pip.conf";
+
+/// The registries to ask.
+///
+/// # Errors
+/// An address that is none, with what says it.
+pub fn registries() -> anyhow::Result<Registries> {
+    let environment = |name: &str| std::env::var(name).ok().filter(|value| !value.is_empty());
+    let file = |path: &Utf8PathBuf| fs::read_to_string(path).ok();
+    told(&environment, &file)
+}
+
+/// `environment` looks up variables, `file` reads what is there.
+fn told(environment: &dyn Fn(&str) -> Option<String>, file: &dyn Fn(&Utf8PathBuf) -> Option<String>) -> anyhow::Result<Registries> {
+    let home = environment("HOME").map(Utf8PathBuf::from);
+    let below_home = |path: &str| home.as_ref().map(|home| home.join(path));
+    let of_user = environment("XDG_CONFIG_HOME").map_or_else(|| below_home(".config"), |folder| Some(folder.into()));
+    let pip_files = [
+        environment("PIP_CONFIG_FILE").map(Utf8PathBuf::from),
+        of_user.map(|folder| folder.join("pip/pip.conf")),
+        below_home(".pip/pip.conf"),
+        Some(PIP_CONF.into()),
+    ];
+    let npm_files = [
+        Some(".npmrc".into()),
+        environment("NPM_CONFIG_USERCONFIG")
+            .or_else(|| environment("npm_config_userconfig"))
+            .map(Utf8PathBuf::from),
+        below_home(".npmrc"),
+    ];
+    let first = |variables: &[&str], files: &[Option<Utf8PathBuf>], read: &dyn Fn(&str) -> Option<String>| {
+        let variables = variables.iter().find_map(|name| Some((environment(name)?, (*name).to_owned())));
+        variables.or_else(|| files.iter().flatten().find_map(|path| Some((read(&file(path)?)?, path.to_string()))))
+    };
+    let pypi = first(&["PIP_INDEX_URL"], &pip_files, &index_of_pip);
+    let npm = first(&["NPM_CONFIG_REGISTRY", "npm_config_registry"], &npm_files, &registry_of_npm);
+    Ok(Registries {
+        pypi: registry(pypi, PYPI, "Another index is named with PIP_INDEX_URL, or index-url in pip.conf")?,
+        npm: registry(npm, NPM, "Another registry is named with NPM_CONFIG_REGISTRY, or registry in .npmrc")?,
+    })
+}
+
+fn registry(told: Option<(String, String)>, public: &str, remedy: &str) -> anyhow::Result<Registry> {
+    let (address, by) = told.map_or_else(|| (public.to_owned(), None), |(address, by)| (address, Some(by)));
+    // It may hold a password: the message does without it.
+    let base = Url::parse(&address).ok().filter(Url::has_host);
+    let base = base.with_context(|| format!("{}: this is not the address of a registry", by.as_deref().unwrap_or_default()))?;
+    let remedy = by.map_or_else(|| format!("{remedy}."), |by| format!("{remedy}; this one is from {by}."));
+    Ok(Registry { base, remedy })
+}
+
+/// `index-url` of the section that holds for all of pip's commands.
+fn index_of_pip(text: &str) -> Option<String> {
+    let mut section = "";
+    for line in text.lines().map(str::trim) {
+        if let Some(name) = line.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
+            section = name.trim();
+        } else if let Some((key, value)) = line.split_once(['=', ':'])
+            && section == "global"
+            && matches!(key.trim(), "index-url" | "index_url")
+        {
+            return Some(value.trim().to_owned());
+        }
+    }
+    None
+}
+
+/// The line `registry=`; every other one is none of our business.
+fn registry_of_npm(text: &str) -> Option<String> {
+    text.lines().find_map(|line| {
+        let (key, value) = line.split_once('=')?;
+        (key.trim() == "registry").then(|| value.trim().trim_matches(['"', '\'']).to_owned())
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told_by(variables: &[(&str, &str)], files: &[(&str, &str)]) -> anyhow::Result<[String; 2]> {
+        let of =
+            |pairs: &[(&str, &str)], wanted: &str| pairs.iter().find(|(name, _)| *name == wanted).map(|(_, value)| (*value).to_owned());
+        let told = told(&|name| of(variables, name), &|path| of(files, path.as_str()))?;
+        Ok([told.pypi.base.to_string(), told.npm.base.to_string()])
+    }
+
+    #[test]
+    fn without_a_word_the_public_registries_are_asked() {
+        assert_eq!(told_by(&[], &[]).unwrap(), ["https://pypi.org/simple", "https://registry.npmjs.org/"]);
+    }
+
+    #[test]
+    fn variables_come_before_files_and_files_nearer_by_before_those_of_the_machine() {
+        let files = [
+            (
+                "/home/me/.config/pip/pip.conf",
+                "[install]\nindex-url = https://no.example/\n[global]\ntimeout: 9\nindex-url = https://user.example/simple\n",
+            ),
+            ("/etc/pip.conf", "[global]\nindex-url = https://machine.example/simple\n"),
+            (
+                "/home/me/.npmrc",
+                "//host.example/:_authToken=abc\n@scope:registry=https://no.example/\nregistry = \"https://npm.example/\"\n",
+            ),
+        ];
+        let home = ("HOME", "/home/me");
+        assert_eq!(told_by(&[home], &files).unwrap(), ["https://user.example/simple", "https://npm.example/"]);
+        let nobody = told_by(&[], &files).unwrap();
+        assert_eq!(nobody, ["https://machine.example/simple", "https://registry.npmjs.org/"]);
+        let variables = [home, ("PIP_INDEX_URL", "https://a.example/simple"), ("npm_config_registry", "https://b.example")];
+        assert_eq!(told_by(&variables, &files).unwrap(), ["https://a.example/simple", "https://b.example/"]);
+    }
+
+    #[test]
+    fn what_is_no_address_is_told_without_being_shown() {
+        let error = told_by(&[("PIP_INDEX_URL", "me:secret@host")], &[]).unwrap_err().to_string();
+        assert!(error.contains("PIP_INDEX_URL") && !error.contains("secret"), "{error}");
+    }
+}

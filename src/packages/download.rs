@@ -1,0 +1,53 @@
+//! An archive from its registry to a file, checked while it comes.
+
+use super::{Event, FetchError, Package, Registries, why};
+use crate::packages::unpack::hex;
+use reqwest::blocking::Client;
+use sha2::{Digest, Sha256};
+use std::fs::File;
+use std::io::{Read, Seek, Write};
+use std::time::Duration;
+use uniground_client::choose_cryptography;
+
+/// How long a registry may take to connect, to answer, and between two pieces of an archive.
+const PATIENCE: Duration = Duration::from_mins(1);
+const CONNECT: Duration = Duration::from_secs(15);
+/// How much is read at once.
+const PIECE_BYTES: usize = 1 << 16;
+
+/// Streams a package's archive into `to`, which is at its beginning afterwards.
+///
+/// # Errors
+/// The registry can not be asked or does not have it; the archive breaks off, or is another one.
+pub fn archive(package: &Package, registries: &Registries, to: &mut File, tell: &mut dyn FnMut(Event)) -> Result<(), FetchError> {
+    choose_cryptography();
+    let registry = registries.of(package);
+    let broken = |why: String| registry.unreachable(package, why);
+    let client = Client::builder().timeout(PATIENCE).connect_timeout(CONNECT).build().map_err(|e| broken(why(e)))?;
+    let address = registry.address_of(package, &client)?;
+    let answer = client.get(address).send().and_then(reqwest::blocking::Response::error_for_status);
+    // One byte more than it may have: enough to see that it is too long.
+    let mut body = answer.map_err(|e| broken(why(e)))?.take(package.bytes + 1);
+    tell(Event::Begins(package.to_string(), package.bytes));
+    let (mut sum, mut piece, mut received) = (Sha256::new(), vec![0; PIECE_BYTES], 0);
+    loop {
+        let read = body.read(&mut piece).map_err(|e| broken(format!("the download broke off: {e}")))?;
+        if read == 0 {
+            break;
+        }
+        sum.update(&piece[..read]);
+        to.write_all(&piece[..read])
+            .map_err(|e| broken(format!("the download can not be written down: {e}")))?;
+        received += read as u64;
+        tell(Event::Received(received));
+    }
+    if received != package.bytes {
+        return Err(FetchError::WrongSize { package: package.to_string(), expected: package.bytes });
+    }
+    let found = hex(sum);
+    if found != package.sha256 {
+        let (package, what, expected) = (package.to_string(), "the archive".into(), package.sha256);
+        return Err(FetchError::WrongHash { package, what, found, expected });
+    }
+    to.rewind().map_err(|e| broken(format!("the download can not be read again: {e}")))
+}

@@ -1,0 +1,102 @@
+//! Public packages that networks and the library that runs them come in: found as their own tools would find them, fetched, checked, unpacked.
+//!
+//! ```text
+//! Part (a row of PARTS) ─> registry (index -> address) ─> download (stream, SHA-256) ─> unpack (file by file, SHA-256) ─> in place, whole
+//! ```
+//! Nothing is believed that a registry says: what an archive and every file in it must be stands in [`PARTS`]. What is there already and right
+//! is left alone; what is interrupted leaves nothing behind.
+
+mod download;
+mod parts;
+mod registry;
+mod unpack;
+
+#[cfg(test)]
+mod tests;
+
+pub use parts::{Build, CarriedFile, Home, PARTS, Package, PackagedFile, Part, Source};
+pub use registry::{Registries, Registry};
+
+use camino::{Utf8Path, Utf8PathBuf};
+use std::io;
+use uniground_core::models::with_causes;
+
+/// What can be wrong with a package. Messages name the package and say what to do.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // Every message says what it is about.
+pub enum FetchError {
+    #[error("{part}: no package has it for {system}: install it and name its file with ORT_DYLIB_PATH")]
+    NoBuild { part: &'static str, system: String },
+    #[error("{package}: {address} can not be asked: {why}. Is there a network? {remedy}")]
+    Unreachable { package: String, address: String, why: String, remedy: String },
+    #[error("{package}: {address} does not have {archive}. {remedy}")]
+    NotListed { package: String, address: String, archive: String, remedy: String },
+    #[error("{package}: {what} has the SHA-256 {found}, expected {expected}: it is not what was published, and was not placed")]
+    WrongHash { package: String, what: String, found: String, expected: &'static str },
+    #[error("{package}: the archive is not {expected} bytes long: the download broke off, or it is not what was published; fetch again")]
+    WrongSize { package: String, expected: u64 },
+    #[error("{package}: the archive can not be unpacked: {why}")]
+    Archive { package: String, why: String },
+    #[error("{file}: {why}")]
+    File { file: Utf8PathBuf, why: io::Error },
+}
+
+/// Where files go.
+#[derive(Debug, Clone)]
+pub struct Places {
+    /// Folder of the bundles.
+    pub models: Utf8PathBuf,
+    /// Folder of ONNX Runtime's library.
+    pub library: Utf8PathBuf,
+}
+
+/// What happens while a part is fetched.
+#[derive(Debug)]
+pub enum Event<'a> {
+    /// Everything of the part was there already.
+    There(&'a Utf8Path),
+    /// The download of a package of so many bytes begins.
+    Begins(String, u64),
+    /// So many bytes of it are here.
+    Received(u64),
+    /// All of it is here, and right.
+    Arrived,
+    /// A file is in place.
+    Placed(&'a Utf8Path),
+}
+
+/// Brings a part to its place, as far as it is not there. Blocks: not for asynchronous code.
+///
+/// # Errors
+/// [`FetchError`]; what was in place before is as it was, or right.
+pub fn fetch(part: &Part, places: &Places, registries: &Registries, tell: &mut dyn FnMut(Event)) -> Result<(), FetchError> {
+    let folder = part.folder(places);
+    let build = part.build()?;
+    let missing: Vec<&PackagedFile> = build.files.iter().filter(|file| !unpack::is_right(&folder.join(file.name), file.sha256)).collect();
+    let is_there = |file: &&CarriedFile| std::fs::read(folder.join(file.name)).is_ok_and(|there| there == file.bytes);
+    let carried: Vec<&CarriedFile> = part.carried.iter().filter(|file| !is_there(file)).collect();
+    if missing.is_empty() && carried.is_empty() {
+        tell(Event::There(&folder));
+        return Ok(());
+    }
+    std::fs::create_dir_all(&folder).map_err(|why| FetchError::File { file: folder.clone(), why })?;
+    if !missing.is_empty() {
+        let package = &build.package;
+        // Without a name in any folder: a process that is killed leaves nothing.
+        let mut archive = tempfile::tempfile_in(&folder).map_err(|why| FetchError::File { file: folder.clone(), why })?;
+        download::archive(package, registries, &mut archive, tell)?;
+        tell(Event::Arrived);
+        unpack::files(package, archive, &missing, &folder, tell)?;
+    }
+    // A bundle's manifest comes last: a folder without one is no bundle yet.
+    for file in carried {
+        let placed = unpack::place(&folder.join(file.name), &mut &*file.bytes, None);
+        tell(Event::Placed(&placed.map_err(|problem| problem.of(part.name))?));
+    }
+    Ok(())
+}
+
+/// What an error of the client comes to, without its address: that may hold a password.
+fn why(error: reqwest::Error) -> String {
+    with_causes(&error.without_url())
+}

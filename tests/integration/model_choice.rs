@@ -1,0 +1,131 @@
+//! Which models a process works with: what lies in the folder of bundles, what was named, and what happens where something is broken.
+
+use crate::server::{Process, command};
+use camino::{Utf8Path, Utf8PathBuf};
+use std::fs::{self, File};
+use uniground::config::{AUTO, BUILTIN, BundlesConfig, ChosenModels, ModelsConfig, RuntimeConfig};
+
+fn root() -> &'static Utf8Path {
+    Utf8Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Tiny bundles with random weights: a dual encoder and two segmenters.
+fn tiny() -> Utf8PathBuf {
+    root().join("crates/uniground-core/tests/data")
+}
+
+fn config(models: &Utf8Path, masks: &str, encoder: &str) -> ModelsConfig {
+    let library = std::env::var("ORT_DYLIB_PATH").map_or_else(|_| root().join(".onnxruntime/libonnxruntime.so"), Utf8PathBuf::from);
+    let runtime = RuntimeConfig { onnxruntime_lib: Some(library), ..RuntimeConfig::default() };
+    let bundles = BundlesConfig { models: models.to_owned(), runtime, ..BundlesConfig::default() };
+    ModelsConfig { masks: masks.into(), encoder: encoder.into(), bundles }
+}
+
+fn names(chosen: &ChosenModels) -> Vec<&str> {
+    chosen.models.loaded.iter().map(|model| model.name.as_str()).collect()
+}
+
+fn folder() -> (tempfile::TempDir, Utf8PathBuf) {
+    let temporary = tempfile::tempdir().unwrap();
+    let path = Utf8PathBuf::from_path_buf(temporary.path().to_owned()).unwrap();
+    (temporary, path)
+}
+
+fn copy(bundle: &str, to: &Utf8Path) {
+    fs::create_dir_all(to).unwrap();
+    for entry in tiny().join(bundle).read_dir_utf8().unwrap() {
+        let entry = entry.unwrap();
+        if entry.path().is_file() {
+            fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
+        }
+    }
+}
+
+#[test]
+fn what_lies_there_is_taken_the_first_by_name() {
+    let chosen = config(&tiny(), AUTO, AUTO).load().unwrap();
+    assert_eq!(names(&chosen), ["tiny-segmenter", "tiny-dual-encoder"]);
+    assert!(
+        chosen.told.contains("masks: tiny-segmenter (found in") && chosen.told.contains("--masks builtin"),
+        "{}",
+        chosen.told
+    );
+    assert!(chosen.told.contains("encoder: tiny-dual-encoder (found in"), "{}", chosen.told);
+    assert_eq!(chosen.warnings, [""; 0]);
+    // What was asked for is not looked for.
+    let asked = config(&tiny(), "tiny-segmenter-sam", BUILTIN).load().unwrap();
+    assert_eq!(names(&asked), ["tiny-segmenter-sam"]);
+    assert_eq!(asked.told, "masks: tiny-segmenter-sam (as asked); encoder: built in (as asked)");
+}
+
+/// Most have no models: no library is wanted then, and nothing is wrong.
+#[test]
+fn where_nothing_lies_everything_is_built_in() {
+    let (_folder, empty) = folder();
+    for models in [&empty, &empty.join("nowhere")] {
+        let mut config = config(models, AUTO, AUTO);
+        config.bundles.runtime.onnxruntime_lib = Some("/nowhere/libonnxruntime.so".into());
+        let chosen = config.load().unwrap();
+        assert!(chosen.models.loaded.is_empty() && chosen.warnings.is_empty(), "{:?}", chosen.warnings);
+        assert_eq!(chosen.told.matches("uniground models fetch").count(), 2, "{}", chosen.told);
+    }
+}
+
+#[test]
+fn a_broken_bundle_is_a_warning_unless_it_was_named() {
+    let (_folder, models) = folder();
+    copy("tiny-dual-encoder", &models.join("a-broken"));
+    copy("tiny-dual-encoder", &models.join("b-whole"));
+    for entry in models.join("a-broken").read_dir_utf8().unwrap() {
+        let entry = entry.unwrap();
+        if entry.path().extension() == Some("onnx") {
+            fs::write(entry.path(), b"no network").unwrap();
+        }
+    }
+    fs::create_dir(models.join("c-unreadable")).unwrap();
+    fs::write(models.join("c-unreadable/model.json"), "{").unwrap();
+    let chosen = config(&models, AUTO, AUTO).load().unwrap();
+    assert_eq!(names(&chosen), ["tiny-dual-encoder"]);
+    assert!(chosen.told.starts_with("masks: built in (no segmenter in"), "{}", chosen.told);
+    let warned = chosen.warnings.join("\n");
+    assert!(warned.contains("c-unreadable/model.json") && warned.contains("a-broken/"), "{warned}");
+    assert_eq!(chosen.warnings.len(), 2, "{warned}");
+    let named = config(&models, AUTO, "a-broken").load().unwrap_err();
+    assert!(format!("{named:#}").contains("a-broken/"), "{named:#}");
+}
+
+#[test]
+fn a_library_that_was_named_must_be_there() {
+    let mut config = config(&tiny(), AUTO, AUTO);
+    config.bundles.runtime.onnxruntime_lib = Some("/nowhere/libonnxruntime.so".into());
+    let error = config.load().unwrap_err();
+    assert!(format!("{error:#}").contains("/nowhere/libonnxruntime.so"), "{error:#}");
+}
+
+/// Nothing can be fetched and no library is there: the server starts with built-in parts and says why.
+#[tokio::test]
+async fn a_server_that_can_not_fetch_its_models_starts_without() {
+    let (_folder, work) = folder();
+    let log = work.join("log");
+    let nobody = "http://127.0.0.1:9/";
+    let mut command = command(&work.join("data"), "127.0.0.1:0");
+    command
+        .args(["--masks", AUTO, "--encoder", AUTO, "--fetch-models"])
+        .current_dir(&work)
+        .env_remove("ORT_DYLIB_PATH")
+        .env_remove("UNIGROUND_MODELS")
+        .envs([("PIP_INDEX_URL", nobody), ("NPM_CONFIG_REGISTRY", nobody)])
+        .stderr(File::create(&log).unwrap());
+    let process = Process::started(&mut command);
+    assert!(process.client.models().await.unwrap().models.is_empty());
+    process.kill();
+    let told = fs::read_to_string(&log).unwrap();
+    for expected in [
+        "onnxruntime 1.31.1: http://127.0.0.1:9 can not be asked",
+        "this one is from NPM_CONFIG_REGISTRY",
+        "could not be fetched: onnxruntime, sam2, clip; the server goes on with what is there",
+        "masks: built in (no segmenter in ./models; uniground models fetch brings one); encoder: built in (no dual encoder in ./models",
+    ] {
+        assert!(told.contains(expected), "{expected}: {told}");
+    }
+}
