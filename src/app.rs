@@ -59,7 +59,7 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     for model in &models.loaded {
         tracing::info!(name = model.name, fingerprint = model.fingerprint, runs_on = model.runs_on, "loaded a model");
     }
-    let vlm_settings = VlmSettings { daily_usd: config.vlm.vlm_daily_usd, json: config.vlm.vlm_json };
+    let vlm_settings = VlmSettings { daily_usd: config.vlm.vlm_daily_usd, json: config.vlm.vlm_json, names: config.vlm.names };
     let chat = config.vlm.client(ReplayCache::Off)?.map(Arc::new);
     let vlm = chat.clone().map(|chat| Vlm::new(chat, vlm_settings, store.clone(), metrics.clone()));
     let parsing = background::pool().context("threads for parses")?;

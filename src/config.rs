@@ -11,7 +11,7 @@ pub use registries::registries;
 pub use retention::RetentionConfig;
 
 use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
-use crate::service::Limits;
+use crate::service::{Limits, WhenNamed};
 use crate::telemetry;
 use crate::webhook::Webhook;
 use anyhow::{Context, bail, ensure};
@@ -140,6 +140,9 @@ pub struct VlmConfig {
     /// The first wait between two attempts, milliseconds
     #[arg(long, env = "UNIGROUND_VLM_BACKOFF_MS", default_value_t = DEFAULT_VLM_BACKOFF_MS, value_name = "MS")]
     pub vlm_backoff_ms: u64,
+    /// When the model names everything in a scene: its names decide what is meant from then on, whoever answers
+    #[arg(long, env = "UNIGROUND_NAMES", value_enum, default_value_t)]
+    pub names: WhenNamed,
     /// Ask for answers as JSON by a schema, where the endpoint knows schemas
     #[arg(long, env = "UNIGROUND_VLM_JSON")]
     pub vlm_json: bool,
@@ -158,6 +161,7 @@ impl Default for VlmConfig {
             vlm_timeout_s: DEFAULT_VLM_TIMEOUT_S,
             vlm_attempts: DEFAULT_VLM_ATTEMPTS,
             vlm_backoff_ms: DEFAULT_VLM_BACKOFF_MS,
+            names: WhenNamed::Off,
             vlm_json: false,
         }
     }

@@ -4,7 +4,7 @@
 //! line the scene's content. A run that was cut off, or is repeated with more cells or expressions, asks only what is missing.
 //! Scores are never kept: they follow from replies and the truth as it is now.
 
-use super::configuration::{Configuration, Source};
+use super::configuration::{Configuration, Names, Source};
 use super::digest;
 use super::pictures;
 use super::reply::Reply;
@@ -119,8 +119,8 @@ pub fn run(suite: &Suite, system: &dyn System, options: &RunOptions) -> anyhow::
 
 /// What decides which instances a cell sees.
 fn setup(configuration: &Configuration) -> (Source, String) {
-    let Configuration { source, preset, settings, masks, encoder, .. } = configuration;
-    (*source, format!("{preset:?} {settings:?} {masks} {encoder}"))
+    let Configuration { source, names, preset, settings, masks, encoder, .. } = configuration;
+    (*source, format!("{names:?} {preset:?} {settings:?} {masks} {encoder}"))
 }
 
 /// A scene somebody brought in, or why not.
@@ -307,7 +307,7 @@ fn content(scene: &SuiteScene, tasks: &[&Task], configuration: &Configuration) -
     if let Some(scan) = &scene.scan {
         digest::add_path(scan, &mut hasher).with_context(|| scan.to_string())?;
     }
-    if configuration.source != Source::Parsed {
+    if configuration.source != Source::Parsed || configuration.names != Names::Own {
         let annotations = scene.annotations.as_ref().map(Sealed::for_reader);
         hasher.update(format!("{annotations:?} {:?}", scene.recorded));
     }

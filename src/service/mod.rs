@@ -28,7 +28,7 @@ pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};
 pub use retention::{Beside, Removed};
 pub use scenes::NewScene;
-pub use vlm::{Vlm, VlmSettings};
+pub use vlm::{Vlm, VlmSettings, WhenNamed};
 
 use crate::error::Error;
 use crate::inference::Probe;

@@ -67,6 +67,17 @@ impl Service {
         request.check()?;
         let (scene, parse_id) = self.ready_scene(scene_id).await?;
         let reviewer = self.reviewer(&request, &asker.caller)?;
+        let start = Instant::now();
+        if reviewer.is_some() {
+            let naming = self.name_before_asking(&scene.id, &parse_id, &asker.caller);
+            let named = match request.timeout_s {
+                Some(seconds) => timeout(Duration::from_secs_f32(seconds), naming).await.unwrap_or(Ok(())),
+                None => naming.await,
+            };
+            if let Err(error) = named {
+                tracing::warn!(error = &error as &dyn std::error::Error, "a question goes without names");
+            }
+        }
         let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         // A place among those who wait for the model, for as long as the question takes.
         let _place = reviewer.as_ref().map(|vlm| vlm.place()).transpose()?;
@@ -78,7 +89,7 @@ impl Service {
         let asks_model = reviewer.is_some() || request.parser == ParserChoice::Vlm;
         let ask = self.ask(&request, &asker.caller, reviewer, &budgets)?;
         let answered = match request.timeout_s {
-            Some(seconds) => match timeout(Duration::from_secs_f32(seconds), pipeline::answer(&source, ask)).await {
+            Some(seconds) => match timeout(Duration::from_secs_f32(seconds).saturating_sub(start.elapsed()), pipeline::answer(&source, ask)).await {
                 Ok(answered) => answered?,
                 // Who did not insist on the model gets what there is without it.
                 Err(_) if asks_model && request.reasoner == ReasonerChoice::Auto => self.without_model(&request, &source, seconds).await?,

@@ -1,9 +1,10 @@
 //! Naming all instances of a parse up front, as a job: questions with cached names then never wait for it.
 
 use super::answers::StoredScene;
-use super::vlm::OF_KEY;
+use super::vlm::{OF_KEY, WhenNamed};
 use super::{Caller, Service, Vlm, job_failure, until_cancelled};
 use crate::error::Error;
+use crate::store::JobFilter;
 use crate::jobs::{Job, JobContext, JobFailure, JobKind, Retry};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -51,6 +52,45 @@ impl Service {
         let (scene, _) = self.ready_scene(scene_id).await?;
         let payload = Payload { scene_id: scene.id.clone(), key_id: caller.key_id().map(str::to_owned) };
         Ok(self.jobs.submit::<NamingJob>(&scene.id, &payload, caller.key_id()).await?)
+    }
+
+    /// Starts naming a scene that has just been parsed, where that is wanted. What stands against it is told in the log: the parse is done.
+    /// The server's own money pays, whoever uploaded the scene.
+    pub(super) async fn name_when_parsed(&self, scene_id: &str) {
+        if self.vlm.as_ref().is_none_or(|vlm| vlm.names() != WhenNamed::Parse) {
+            return;
+        }
+        let start = async {
+            let (_, parse_id) = self.ready_scene(scene_id).await?;
+            match self.store.name_index(&parse_id, naming::NAMING_VERSION).await? {
+                Some(_) => Ok(()),
+                None => self.start_naming(scene_id, &Caller::operator()).await.map(drop),
+            }
+        };
+        if let Err(error) = start.await {
+            let error: Error = error;
+            tracing::warn!(scene_id, error = &error as &dyn std::error::Error, "a parsed scene is not named");
+        }
+    }
+
+    /// Waits until a scene is named, where that is wanted before the model's first question. A question goes without names where they can
+    /// not be had; its answer says so.
+    pub(super) async fn name_before_asking(&self, scene_id: &str, parse_id: &str, caller: &Caller) -> Result<(), Error> {
+        const LOOK_EVERY: Duration = Duration::from_millis(200);
+        let wanted = self.vlm.as_ref().is_some_and(|vlm| vlm.names() == WhenNamed::Lazy);
+        if !wanted || self.store.name_index(parse_id, naming::NAMING_VERSION).await?.is_some() {
+            return Ok(());
+        }
+        let filter = JobFilter { kind: Some(NamingJob::NAME.to_owned()), state: None, subject: Some(scene_id.to_owned()) };
+        let last = self.store.jobs(&filter, 1, None).await?.into_iter().find(|job| !job.state.is_final());
+        let job_id = match last {
+            Some(job) => job.id,
+            None => self.start_naming(scene_id, caller).await?.id,
+        };
+        while !self.jobs.get_lately(&job_id, LOOK_EVERY).await?.state.is_final() {
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
+        Ok(())
     }
 
     /// A budget that nothing can be held against pays for nothing.

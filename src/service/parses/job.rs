@@ -51,7 +51,10 @@ impl JobKind for ParseJob {
     type Payload = Payload;
 
     async fn run(&self, job: JobContext<Payload>) -> Result<String, JobFailure> {
-        self.0.run_parse(job).await.map_err(job_failure)
+        let scene_id = job.payload.scene_id.clone();
+        let told = self.0.run_parse(job).await.map_err(job_failure)?;
+        self.0.name_when_parsed(&scene_id).await;
+        Ok(told)
     }
 }
 

@@ -39,6 +39,20 @@ pub struct VlmSettings {
     pub daily_usd: Option<f64>,
     /// Ask for JSON by a schema.
     pub json: bool,
+    /// When it names everything in a scene.
+    pub names: WhenNamed,
+}
+
+/// When the model names everything in a scene, unasked.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum WhenNamed {
+    /// Never: only where somebody asks for it (`POST /v1/scenes/{id}/names`)
+    #[default]
+    Off,
+    /// Before the first question that the model reviews; that question waits for it
+    Lazy,
+    /// As soon as a scene is parsed
+    Parse,
 }
 
 /// Whose budgets there are, in messages.
@@ -76,6 +90,10 @@ impl Vlm {
     /// Whether the model answered when it was asked last; else since when it has not.
     pub(super) fn condition(&self) -> Result<(), String> {
         self.model.circuit().condition()
+    }
+
+    pub(super) fn names(&self) -> WhenNamed {
+        self.settings.names
     }
 
     pub(super) fn json(&self) -> bool {
