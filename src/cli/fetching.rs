@@ -5,7 +5,7 @@ use crate::packages::{Event, Home, PARTS, Part, Places, fetch};
 use anyhow::bail;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::io::{self, IsTerminal, Write};
-use uniground_core::models::neural::{OnnxRuntime, Role};
+use uniground_core::models::neural::OnnxRuntime;
 
 /// Fetches one part after the other; one that fails keeps nobody from the rest. What is in place is told on `out`, the rest on stderr.
 ///
@@ -33,8 +33,7 @@ pub fn fetch_all(parts: &[&Part], places: &Places, out: &mut dyn Write) -> anyho
 
 /// What a server with these flags would use and does not find. A library that is found anywhere will do.
 pub fn wanted(config: &ModelsConfig) -> Vec<&'static Part> {
-    let uses = |name: &str| config.wants(Role::Masks, name) || config.wants(Role::Encoder, name);
-    let is_bundle_wanted = |part: &&Part| matches!(part.home, Home::Bundle(name) if uses(name));
+    let is_bundle_wanted = |part: &&Part| matches!(part.home, Home::Bundle(name, role) if config.wants(role, name));
     let bundles: Vec<&Part> = PARTS.iter().filter(is_bundle_wanted).collect();
     let is_library_wanted =
         !bundles.is_empty() && config.bundles.is_usual() && OnnxRuntime::find(&config.bundles.runtime.settings()).is_err();

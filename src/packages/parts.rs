@@ -3,6 +3,7 @@
 use super::{FetchError, Places};
 use camino::Utf8PathBuf;
 use std::env::consts::{ARCH, OS};
+use uniground_core::models::neural::Role;
 
 /// Something to fetch: a bundle, or the library.
 #[derive(Debug, Clone)]
@@ -26,8 +27,8 @@ pub struct Part {
 pub enum Home {
     /// The library's folder.
     Library,
-    /// A bundle of this name below the folder of bundles.
-    Bundle(&'static str),
+    /// A bundle of this name below the folder of bundles, and what it can be used for.
+    Bundle(&'static str, Role),
 }
 
 /// A package for one system, or for all.
@@ -91,7 +92,7 @@ impl Part {
     pub fn folder(&self, places: &Places) -> Utf8PathBuf {
         match self.home {
             Home::Library => places.library.clone(),
-            Home::Bundle(name) => places.models.join(name),
+            Home::Bundle(name, _) => places.models.join(name),
         }
     }
 
@@ -192,7 +193,7 @@ const SAM2: Part = Part {
     name: "sam2",
     what: "SAM 2 Hiera tiny, a promptable segmenter",
     licence: "weights Apache-2.0, package BSD-3-Clause",
-    home: Home::Bundle("sam2-hiera-tiny"),
+    home: Home::Bundle("sam2-hiera-tiny", Role::Masks),
     builds: &[Build {
         system: None,
         package: Package {
@@ -229,7 +230,7 @@ const CLIP: Part = Part {
     name: "clip",
     what: "CLIP ViT-B/16's image tower in int8 with a table of words, a small dual encoder",
     licence: "image tower MIT; words of mixed provenance (PROVENANCE.md)",
-    home: Home::Bundle("clip-vitb16-lite"),
+    home: Home::Bundle("clip-vitb16-lite", Role::Encoder),
     builds: &[Build {
         system: None,
         package: Package {

@@ -16,7 +16,7 @@ use std::io::Write;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use tokio::runtime::Runtime;
-use uniground_core::models::neural::list;
+use uniground_core::models::neural::{Role, list};
 use zip::write::{SimpleFileOptions, ZipWriter};
 
 const NETWORK: &[u8] = b"layers and layers of a network";
@@ -132,7 +132,7 @@ impl Bench {
             name: "test",
             what: "",
             licence: "",
-            home: Home::Bundle("test-bundle"),
+            home: Home::Bundle("test-bundle", Role::Encoder),
             builds: vec![Build { system: None, package, files: files.leak() }].leak(),
             carried: &[CarriedFile { name: "model.json", bytes: MANIFEST }],
         };
@@ -256,6 +256,12 @@ fn bundles_are_whole() {
     bundles.sort();
     let listed = list(&models).unwrap();
     assert!(listed.iter().all(|bundle| bundle.problem.is_none()), "{listed:?}");
+    let is_listed = |home: &Home| {
+        listed
+            .iter()
+            .any(|bundle| matches!(home, Home::Bundle(name, role) if *name == bundle.name && Some(*role) == bundle.role))
+    };
+    assert!(PARTS.iter().all(|part| part.home == Home::Library || is_listed(&part.home)), "{listed:?}");
     assert_eq!(
         listed.iter().map(|bundle| bundle.name.as_str()).collect::<Vec<_>>(),
         bundles,

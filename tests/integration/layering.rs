@@ -47,8 +47,8 @@ const PACKAGES: [(&str, Floors); 3] = [
     ),
 ];
 
-/// What leans on its own floor by design.
-const ALLOWED: &[(&str, &str)] = &[("telemetry", "config")];
+/// What leans on its own floor by design: the log is configured, and secrets that are read are kept out of it.
+const ALLOWED: &[(&str, &str)] = &[("telemetry", "config"), ("config", "telemetry")];
 
 fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
