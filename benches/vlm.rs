@@ -76,7 +76,8 @@ impl Sample {
         let cloud =
             PointCloud { positions: kept.clone().map(|i| all.positions[i]).collect(), colours: kept.map(|i| all.colours[i]).collect() };
         let frames = self.parsed.frames.clone();
-        Arc::new(Album::new(scene.extent, RenderScene::of(cloud), None, String::new(), frames)).scene(scene.instances.clone().into())
+        let render_scene = RenderScene::of_parsed(cloud, &scene.instances);
+        Arc::new(Album::new(scene.extent, render_scene, None, String::new(), frames)).scene(scene.instances.clone().into())
     }
 
     /// Three renders of 680 x 680 and five collages, drawn and encoded; photographs come from files, the cloud is in memory.

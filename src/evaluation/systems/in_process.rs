@@ -152,7 +152,7 @@ impl System for InProcess {
             .label(Role::Encoder)
             .filter(|_| embeddings.is_some())
             .unwrap_or_else(|| attributes::NAME.into());
-        let album = Album::new(extent, RenderScene::of(cloud), models.encoder.zip(embeddings), encoder, frames);
+        let album = Album::new(extent, RenderScene::of_parsed(cloud, &instances), models.encoder.zip(embeddings), encoder, frames);
         Ok(Box::new(LocalScene {
             boxes: instances.iter().map(|i| i.aabb).collect(),
             instances: instances.into(),

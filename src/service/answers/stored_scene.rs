@@ -74,7 +74,8 @@ impl SceneSource for StoredScene {
             IngestError::Io { .. } => Error::Ingest(error),
             error => Error::ParseDamaged { parse_id: self.parse.id.clone(), what: with_causes(&error) },
         };
-        let render_scene = Arc::new(RenderScene::of(ingest::read_cloud(&file).map_err(damaged)?));
+        let cloud = ingest::read_cloud(&file).map_err(damaged)?;
+        let render_scene = Arc::new(RenderScene::of_parsed(cloud, &self.parse.instances));
         known.put(self.parse.id.clone(), render_scene.clone(), render_scene.cloud.len());
         Ok(render_scene)
     }

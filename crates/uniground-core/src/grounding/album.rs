@@ -62,7 +62,8 @@ impl AlbumScene {
     pub fn of(scan: ParsedScan, models: &Models) -> Arc<Self> {
         let ParsedScan { scene, frames, models: used, .. } = scan;
         let seen = models.encoder.clone().zip(scene.embeddings);
-        Arc::new(Album::new(scene.extent, RenderScene::of(scene.cloud), seen, used.encoder, frames)).scene(scene.instances.into())
+        let render_scene = RenderScene::of_parsed(scene.cloud, &scene.instances);
+        Arc::new(Album::new(scene.extent, render_scene, seen, used.encoder, frames)).scene(scene.instances.into())
     }
 }
 

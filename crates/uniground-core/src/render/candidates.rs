@@ -2,14 +2,16 @@
 
 use super::camera::{Distance, calibrated, eye, look_at, uncalibrated};
 use super::directions::{self, DirectionWord};
-use super::overlay::{self, LabelledBox};
-use super::render_scene::RenderScene;
+use super::insets;
+use super::overlay::{self, LabelledBox, bounds};
+use super::render_scene::{Cutaway, RenderScene, Splats};
 use super::text;
 use crate::geometry::Point3;
 use crate::geometry::boxes::Aabb;
 use crate::scene::Camera;
-use image::{Pixel, Rgb, RgbImage, imageops};
+use image::{Rgb, RgbImage, imageops};
 use rayon::prelude::*;
+use tiny_skia::Rect;
 
 /// How candidates are shown together.
 #[derive(Debug, Clone, PartialEq)]
@@ -32,6 +34,11 @@ pub struct GlobalView {
     pub max_zoom: f32,
     /// How much darker surfaces get that turn away, `0..=1`; 0 leaves their colours.
     pub shading: f32,
+    /// The least a box measures along its longer side in a view, pixels: a view zooms in further for a smaller one, and one that stays
+    /// smaller, as the others lie far away, is shown once more in an inset. 0 for neither, as in the paper.
+    pub min_subject_px: f32,
+    /// What is left out so that one can look into the room.
+    pub cutaway: Cutaway,
 }
 
 impl Default for GlobalView {
@@ -46,6 +53,8 @@ impl Default for GlobalView {
             margin: 0.15,
             max_zoom: 3.5,
             shading: 0.45,
+            min_subject_px: 40.0,
+            cutaway: Cutaway::Building,
         }
     }
 }
@@ -61,6 +70,12 @@ pub struct Subjects {
     pub target: Point3<f32>,
 }
 
+/// A box smaller than this before calibration is a point, and zoomed in on no further, pixels.
+const LEAST_PX: f32 = 0.5;
+/// Size of a view's title and where it begins, pixels.
+const TITLE_PX: f32 = 16.0;
+const TITLE_AT: (f32, f32) = (6.0, 4.0);
+
 impl GlobalView {
     /// The camera of one view; candidates' corners, and those of anchors, are in the picture.
     #[must_use]
@@ -70,7 +85,9 @@ impl GlobalView {
         let pose = look_at(&eye, &subjects.target, azimuth_deg.to_radians());
         let wide = Camera::new(uncalibrated(self.view_px, self.view_px), &pose);
         let corners: Vec<Point3<f32>> = subjects.boxes.iter().flat_map(|b| b.aabb.corners()).collect();
-        Camera::new(calibrated(&wide, &corners, self.margin, self.max_zoom), &pose)
+        let smallest = subjects.boxes.iter().filter_map(|b| longer_side(&wide, &b.aabb)).fold(f32::INFINITY, f32::min);
+        let max_zoom = self.max_zoom.max(self.min_subject_px / smallest.max(LEAST_PX));
+        Camera::new(calibrated(&wide, &corners, self.margin, max_zoom), &pose)
     }
 
     /// Draws all views side by side.
@@ -83,8 +100,9 @@ impl GlobalView {
             .enumerate()
             .map(|(i, &azimuth_deg)| {
                 let camera = self.camera(extent, subjects, azimuth_deg);
-                let mut view = self.draw_view(render_scene, &camera, subjects);
-                text::draw(&mut view, &format!("view {}", i + 1), 6.0, 4.0, 16.0, Rgb([90; 3]));
+                let title = format!("view {}", i + 1);
+                let mut view = self.draw_view(render_scene, &camera, subjects, text::width(&title, TITLE_PX));
+                text::draw(&mut view, &title, TITLE_AT.0, TITLE_AT.1, TITLE_PX, Rgb([90; 3]));
                 view
             })
             .collect();
@@ -96,19 +114,37 @@ impl GlobalView {
         stitched
     }
 
-    fn draw_view(&self, render_scene: &RenderScene, camera: &Camera, subjects: &Subjects) -> RgbImage {
-        let mut drawn = render_scene.drawn(camera);
+    fn draw_view(&self, render_scene: &RenderScene, camera: &Camera, subjects: &Subjects, title_px: f32) -> RgbImage {
+        let drawn = self.drawn(render_scene, camera, subjects);
+        let mut view = super::on_paper(&drawn);
+        let mut taken = directions::draw(&mut view, camera, &subjects.target, &subjects.words);
+        taken.extend(Rect::from_xywh(TITLE_AT.0, TITLE_AT.1, title_px, TITLE_PX));
+        let insets = insets::placed(camera, &subjects.boxes, self.min_subject_px, &taken);
+        taken.extend(insets.iter().map(|inset| inset.rect));
+        overlay::draw(&mut view, &drawn, camera, &subjects.boxes, taken);
+        for inset in insets {
+            let boxes: Vec<LabelledBox> = inset.boxes.iter().map(|&i| subjects.boxes[i].clone()).collect();
+            let drawn = self.drawn(render_scene, &inset.camera, subjects);
+            let mut close = super::on_paper(&drawn);
+            overlay::draw(&mut close, &drawn, &inset.camera, &boxes, Vec::new());
+            inset.put(&mut view, &close);
+        }
+        view
+    }
+
+    fn drawn(&self, render_scene: &RenderScene, camera: &Camera, subjects: &Subjects) -> Splats {
+        let boxes: Vec<Aabb> = subjects.boxes.iter().map(|b| b.aabb).collect();
+        let mut drawn = render_scene.drawn(camera, self.cutaway, &boxes);
         if self.shading > 0.0 {
             drawn.shade(camera, self.shading);
         }
-        let mut view = RgbImage::from_pixel(self.view_px, self.view_px, super::BACKGROUND);
-        for (under, over) in view.pixels_mut().zip(drawn.picture.pixels()).filter(|(_, over)| over.0[3] > 0) {
-            *under = over.to_rgb();
-        }
-        let taken = directions::draw(&mut view, camera, &subjects.target, &subjects.words);
-        overlay::draw(&mut view, &drawn, camera, &subjects.boxes, taken);
-        view
+        drawn
     }
+}
+
+/// Of a box in the picture, pixels; `None` behind the camera.
+pub(super) fn longer_side(camera: &Camera, aabb: &Aabb) -> Option<f32> {
+    bounds(camera, aabb).map(|rect| rect.width().max(rect.height()))
 }
 
 #[cfg(test)]
@@ -181,7 +217,7 @@ mod tests {
         let view = GlobalView { shading: 0.0, ..GlobalView::default() };
         for azimuth_deg in [0.0_f32, 30.0, 120.0, 200.0, 240.0] {
             let camera = view.camera(&ROOM, &subjects, azimuth_deg);
-            let drawn = render_scene.drawn(&camera).picture;
+            let drawn = render_scene.drawn(&camera, Cutaway::HighestPoints, &[]).picture;
             let azimuth = azimuth_deg.to_radians();
             let origin = camera.project(&subjects.target).unwrap();
             let marks = directions::marks(&camera, &subjects.target, &subjects.words);

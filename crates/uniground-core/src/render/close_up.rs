@@ -2,12 +2,12 @@
 
 use super::camera::Distance;
 use super::camera::{calibrated, eye, look_at, uncalibrated};
-use super::render_scene::RenderScene;
+use super::render_scene::{Cutaway, RenderScene};
 use super::shot::Shot;
 use crate::geometry::Vector3;
 use crate::geometry::boxes::Aabb;
 use crate::scene::Camera;
-use image::{Pixel, RgbImage};
+use image::RgbImage;
 use rayon::prelude::*;
 
 const SIDE_PX: u32 = 360;
@@ -20,7 +20,6 @@ const MARGIN: f32 = 0.08;
 /// Three shots of what a box holds.
 #[must_use]
 pub fn close_ups(render_scene: &RenderScene, aabb: &Aabb) -> Vec<Shot> {
-    let top = aabb.max().z + 0.02;
     let surroundings = Aabb { size: aabb.size + Vector3::repeat(2.0 * AROUND_M), ..*aabb };
     AZIMUTHS_DEG
         .par_iter()
@@ -35,8 +34,8 @@ pub fn close_ups(render_scene: &RenderScene, aabb: &Aabb) -> Vec<Shot> {
             let low = |axis: fn(&crate::scene::Pixel) -> f32| share(seen.iter().map(axis).fold(f32::INFINITY, f32::min));
             let high = |axis: fn(&crate::scene::Pixel) -> f32| share(seen.iter().map(axis).fold(0.0, f32::max));
             Shot {
-                crop: drawn(render_scene, &near, top),
-                frame: drawn(render_scene, &far, top),
+                crop: drawn(render_scene, &near, aabb),
+                frame: drawn(render_scene, &far, aabb),
                 place: [low(|p| p.u), low(|p| p.v), high(|p| p.u), high(|p| p.v)],
                 mask: None,
             }
@@ -45,13 +44,8 @@ pub fn close_ups(render_scene: &RenderScene, aabb: &Aabb) -> Vec<Shot> {
 }
 
 /// What hangs from the ceiling is seen, the ceiling above it is not.
-fn drawn(render_scene: &RenderScene, camera: &Camera, top_m: f32) -> RgbImage {
-    let splats = render_scene.drawn_up_to(camera, top_m);
-    let mut picture = RgbImage::from_pixel(SIDE_PX, SIDE_PX, super::BACKGROUND);
-    for (under, over) in picture.pixels_mut().zip(splats.picture.pixels()).filter(|(_, over)| over.0[3] > 0) {
-        *under = over.to_rgb();
-    }
-    picture
+fn drawn(render_scene: &RenderScene, camera: &Camera, subject: &Aabb) -> RgbImage {
+    super::on_paper(&render_scene.drawn(camera, Cutaway::Building, &[*subject]))
 }
 
 #[cfg(test)]

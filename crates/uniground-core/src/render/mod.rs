@@ -1,10 +1,12 @@
 //! Pictures of a parsed scene, on the CPU and deterministic: splatted points, boxes, labels.
 
+mod building;
 mod camera;
 mod candidates;
 mod close_up;
 mod collage;
 mod directions;
+mod insets;
 mod jpeg;
 mod outline;
 mod overlay;
@@ -19,11 +21,12 @@ pub use candidates::{GlobalView, Subjects};
 pub use close_up::close_ups;
 pub use collage::{Collage, mosaic};
 pub use directions::DirectionWord;
-use image::{Pixel, Rgb, RgbImage};
+use image::{Pixel as _, Rgb, RgbImage};
 pub use jpeg::jpeg;
 pub use outline::{Around, draw_outline, outline_reach};
 pub use overlay::{BoxStyle, LabelledBox};
-pub use render_scene::RenderScene;
+use render_scene::Splats;
+pub use render_scene::{Cutaway, RenderScene};
 pub use shot::{Shot, crop_area, cut, shares};
 
 const BACKGROUND: Rgb<u8> = Rgb([250, 250, 250]);
@@ -43,15 +46,22 @@ pub fn frame_overlay(frame: &RgbImage, camera: &Camera, render_scene: &RenderSce
     picture
 }
 
-/// Draws the scene from an orbit camera with boxes on top.
+/// Draws the scene from an orbit camera with boxes on top. One looks into it: see [`Cutaway::Building`].
 #[must_use]
 pub fn scene_picture(render_scene: &RenderScene, extent: &Aabb, orbit: &Orbit, boxes: &[LabelledBox]) -> RgbImage {
     let camera = orbit.camera(extent);
-    let drawn = render_scene.drawn(&camera);
-    let mut picture = RgbImage::from_pixel(orbit.width, orbit.height, BACKGROUND);
+    let subjects: Vec<Aabb> = boxes.iter().map(|b| b.aabb).collect();
+    let drawn = render_scene.drawn(&camera, Cutaway::Building, &subjects);
+    let mut picture = on_paper(&drawn);
+    overlay::draw(&mut picture, &drawn, &camera, boxes, Vec::new());
+    picture
+}
+
+/// What was drawn, with the background where nothing was.
+fn on_paper(drawn: &Splats) -> RgbImage {
+    let mut picture = RgbImage::from_pixel(drawn.picture.width(), drawn.picture.height(), BACKGROUND);
     for (under, over) in picture.pixels_mut().zip(drawn.picture.pixels()).filter(|(_, over)| over.0[3] > 0) {
         *under = over.to_rgb();
     }
-    overlay::draw(&mut picture, &drawn, &camera, boxes, Vec::new());
     picture
 }

@@ -51,6 +51,8 @@ impl BoxStyle {
 /// Sizes tried for a label's letters: smaller ones where there is no room.
 const LABEL_PX: [f32; 3] = [18.0, 14.0, 11.0];
 const PADDING_PX: f32 = 4.0;
+const FOOTING: [u8; 3] = [120; 3];
+const FOOTING_PX: f32 = 1.5;
 /// An edge counts as hidden when something lies this much nearer: metres, and a share of the depth.
 const HIDDEN_BY_M: f32 = 0.03;
 const HIDDEN_BY_SHARE: f32 = 0.01;
@@ -60,6 +62,7 @@ const NEAR_M: f32 = 0.05;
 /// Draws the boxes in order, later ones on top, then the labels. `taken` are places that hold something already.
 pub(super) fn draw(picture: &mut RgbImage, drawn: &Splats, camera: &Camera, boxes: &[LabelledBox], taken: Vec<Rect>) {
     let Some(mut layer) = Pixmap::new(picture.width(), picture.height()) else { return };
+    draw_footings(&mut layer, drawn, camera);
     for labelled in boxes {
         draw_edges(&mut layer, drawn, camera, labelled);
     }
@@ -84,6 +87,19 @@ pub(super) fn position(camera: &Camera, point: &Point3<f32>) -> Option<(Point2<f
     let p = camera.world_to_camera() * point;
     let i = &camera.intrinsics;
     (p.z > NEAR_M).then(|| (Point2::new(i.fx * p.x / p.z + i.cx, i.fy * p.y / p.z + i.cy), p.z))
+}
+
+/// Thin lines where walls stand that were left out, as far as nothing hides them.
+fn draw_footings(layer: &mut Pixmap, drawn: &Splats, camera: &Camera) {
+    let (mut seen, mut hidden) = (PathBuilder::new(), PathBuilder::new());
+    for [a, b] in &drawn.footings {
+        edge(drawn, camera, (a, b), &mut seen, &mut hidden);
+    }
+    let Some(path) = seen.finish() else { return };
+    let mut paint = Paint { anti_alias: true, ..Paint::default() };
+    let [r, g, b] = FOOTING;
+    paint.set_color_rgba8(r, g, b, 255);
+    layer.stroke_path(&path, &paint, &Stroke { width: FOOTING_PX, ..Stroke::default() }, Transform::identity(), None);
 }
 
 fn draw_edges(layer: &mut Pixmap, drawn: &Splats, camera: &Camera, labelled: &LabelledBox) {
@@ -189,6 +205,15 @@ pub(super) fn label_places(picture: (u32, u32), camera: &Camera, boxes: &[Labell
         places[i] = found;
     }
     places
+}
+
+/// Where a box is in the picture, also beyond its rim; `None` when it is behind the camera.
+pub(super) fn bounds(camera: &Camera, aabb: &Aabb) -> Option<Rect> {
+    let corners = aabb.corners();
+    let mut at = corners.iter().filter_map(|corner| position(camera, corner)).map(|(at, _)| at);
+    let first = at.next()?;
+    let (low, high) = at.fold((first, first), |(low, high), p| (low.inf(&p), high.sup(&p)));
+    Rect::from_ltrb(low.x, low.y, high.x, high.y)
 }
 
 /// The middle of a box's upper rim, moved into the picture; `None` when the box is behind the camera.

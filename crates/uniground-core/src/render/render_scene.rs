@@ -1,9 +1,11 @@
 //! Points as z-buffered squares, large enough to close the gaps between them.
 
+use super::building::{Building, RIM_M, holds};
 use crate::geometry::Point3;
+use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::statistics::quantile;
 use crate::geometry::voxels::typical_spacing_m;
-use crate::scene::{Camera, PointCloud};
+use crate::scene::{Camera, Instance, PointCloud};
 use image::{Rgba, RgbaImage};
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -16,20 +18,39 @@ const CEILING_PERCENTILE: f32 = 0.95;
 /// Only a scene taller than this has a ceiling to leave out, metres.
 const CEILING_FROM_M: f32 = 2.0;
 
+/// What is left out of a picture so that one can look into a room from outside.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Cutaway {
+    /// Walls and ceilings that turn their backs on the camera or hide a subject, with what hangs on them. Subjects themselves are
+    /// always drawn. Where no ceiling is known the highest points are left out as well.
+    #[default]
+    Building,
+    /// Paper: points above the 95th height percentile, whatever they are.
+    HighestPoints,
+}
+
 /// A cloud and what has to be known of it before it can be drawn.
 #[derive(Debug, Clone)]
 pub struct RenderScene {
     /// Every point, the ceiling's too.
     pub cloud: Arc<PointCloud>,
     spacing_m: f32,
-    /// Points above this Z are left out; infinite in a low room.
+    /// Points above this Z are the highest; infinite in a low room.
     ceiling_m: f32,
+    /// Walls and ceilings, where stage 1 has found some.
+    building: Option<Building>,
 }
 
 impl RenderScene {
-    /// Measures a cloud: a pass over its points.
+    /// Measures a cloud of which nothing else is known: a pass over its points.
     #[must_use]
     pub fn of(cloud: impl Into<Arc<PointCloud>>) -> Self {
+        Self::of_parsed(cloud, &[])
+    }
+
+    /// Measures a cloud whose walls and ceilings are known: some passes over its points. A byte a point is kept beside the cloud.
+    #[must_use]
+    pub fn of_parsed(cloud: impl Into<Arc<PointCloud>>, instances: &[Instance]) -> Self {
         let cloud = cloud.into();
         let mut heights: Vec<f32> = cloud.positions.iter().map(|p| p.z).collect();
         let (low, high) = heights.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(lo, hi), z| (lo.min(*z), hi.max(*z)));
@@ -37,25 +58,41 @@ impl RenderScene {
             true => quantile(&mut heights, CEILING_PERCENTILE).unwrap_or(f32::INFINITY),
             false => f32::INFINITY,
         };
-        Self { spacing_m: typical_spacing_m(&cloud.positions), ceiling_m, cloud }
+        let building = Building::of(&cloud.positions, instances);
+        Self { spacing_m: typical_spacing_m(&cloud.positions), ceiling_m, building, cloud }
     }
 
-    /// Draws the points below the ceiling.
+    /// Draws the room as from outside, `subjects` in sight.
     #[must_use]
-    pub(super) fn drawn(&self, camera: &Camera) -> Splats {
-        draw(&self.cloud, self.spacing_m, camera, |p| p.z <= self.ceiling_m)
-    }
-
-    /// Draws the points below the ceiling, and all up to a height.
-    #[must_use]
-    pub(super) fn drawn_up_to(&self, camera: &Camera, height_m: f32) -> Splats {
-        draw(&self.cloud, self.spacing_m, camera, |p| p.z <= self.ceiling_m.max(height_m))
+    pub(super) fn drawn(&self, camera: &Camera, cutaway: Cutaway, subjects: &[Aabb]) -> Splats {
+        let highest_m = match (&self.building, cutaway) {
+            (Some(building), Cutaway::Building) if building.has_ceiling() => f32::INFINITY,
+            _ => self.ceiling_m,
+        };
+        let Cutaway::Building = cutaway else {
+            return self.draw(camera, |_, p| p.z <= highest_m);
+        };
+        let Some(building) = &self.building else {
+            let of = |s: &Aabb| OrientedBox { center: s.center, size: s.size, yaw_rad: 0.0 };
+            let kept: Vec<OrientedBox> = subjects.iter().map(of).collect();
+            return self.draw(camera, |_, p| p.z <= highest_m || kept.iter().any(|b| holds(b, RIM_M, p)));
+        };
+        let opening = building.opening(&camera.center(), subjects);
+        let draws = |i: usize, p: &Point3<f32>| match p.z <= highest_m {
+            true => building.draws(i, p, &opening),
+            false => opening.shows(p),
+        };
+        Splats { footings: building.footings(&opening), ..self.draw(camera, draws) }
     }
 
     /// Draws every point.
     #[must_use]
     pub(super) fn drawn_with_ceiling(&self, camera: &Camera) -> Splats {
-        draw(&self.cloud, self.spacing_m, camera, |_| true)
+        self.draw(camera, |_, _| true)
+    }
+
+    fn draw(&self, camera: &Camera, keep: impl Fn(usize, &Point3<f32>) -> bool + Sync) -> Splats {
+        draw(&self.cloud, self.spacing_m, camera, keep)
     }
 }
 
@@ -63,6 +100,8 @@ impl RenderScene {
 pub(super) struct Splats {
     pub picture: RgbaImage,
     pub depth_m: Vec<f32>,
+    /// Where walls that were left out stand on the floor, world frame.
+    pub footings: Vec<[Point3<f32>; 2]>,
 }
 
 impl Splats {
@@ -108,15 +147,16 @@ impl Splats {
     }
 }
 
-fn draw(cloud: &PointCloud, spacing_m: f32, camera: &Camera, keep: impl Fn(&Point3<f32>) -> bool + Sync) -> Splats {
+fn draw(cloud: &PointCloud, spacing_m: f32, camera: &Camera, keep: impl Fn(usize, &Point3<f32>) -> bool + Sync) -> Splats {
     let (width, height) = (camera.intrinsics.width, camera.intrinsics.height);
     let size_m = spacing_m * OVERLAP;
     let splats: Vec<(f32, f32, f32, [u8; 3])> = cloud
         .positions
         .par_iter()
         .zip(&cloud.colours)
-        .filter(|(p, _)| keep(p))
-        .filter_map(|(p, &colour)| camera.project(p).map(|pixel| (pixel.u, pixel.v, pixel.z_m, colour)))
+        .enumerate()
+        .filter(|(i, (p, _))| keep(*i, p))
+        .filter_map(|(_, (p, &colour))| camera.project(p).map(|pixel| (pixel.u, pixel.v, pixel.z_m, colour)))
         .collect();
     let mut picture = RgbaImage::new(width, height);
     let mut depth_m = vec![f32::INFINITY; (width * height) as usize];
@@ -134,7 +174,7 @@ fn draw(cloud: &PointCloud, spacing_m: f32, camera: &Camera, keep: impl Fn(&Poin
             }
         }
     }
-    Splats { picture, depth_m }
+    Splats { picture, depth_m, footings: Vec::new() }
 }
 
 #[cfg(test)]

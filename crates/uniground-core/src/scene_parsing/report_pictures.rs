@@ -28,8 +28,8 @@ const DROPPED_GREY: [u8; 3] = [90, 90, 90];
 /// # Errors
 /// [`ParseError`] for unreadable frames and cancellation.
 pub fn render(scene: &ParsedScene, frames: &[FrameRef], progress: &Progress) -> Result<Vec<ReportPicture>, ParseError> {
-    let by_superpoint = RenderScene::of(recoloured(scene, |i| id_colour(scene.superpoint_of_point[i])));
-    let by_instance = RenderScene::of(recoloured(scene, |i| instance_colour(scene, scene.instance_of_point[i])));
+    let by_superpoint = RenderScene::of_parsed(recoloured(scene, |i| id_colour(scene.superpoint_of_point[i])), &scene.instances);
+    let by_instance = RenderScene::of_parsed(recoloured(scene, |i| instance_colour(scene, scene.instance_of_point[i])), &scene.instances);
     let count = FRAMES.min(frames.len());
     let shown = (0..count).map(|k| &frames[frames.len() * (2 * k + 1) / (2 * count)]);
     let structural = scene.report.structural;
