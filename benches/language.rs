@@ -38,7 +38,16 @@ fn hall(count: usize) -> Vec<Instance> {
         let base = middle(&noun.base);
         let center = Point3::new((i % side) as f32 * 1.5, (i / side) as f32 * 1.5, base + size.z / 2.0);
         let aabb = Aabb { center, size };
-        SceneObject { id: i as u32 + 1, name: noun.name.clone(), aabb, rotated: None, cloud_points: 0, mean_rgb: None, colours: Vec::new(), seen_as: None }
+        SceneObject {
+            id: i as u32 + 1,
+            name: noun.name.clone(),
+            aabb,
+            rotated: None,
+            cloud_points: 0,
+            mean_rgb: None,
+            colours: Vec::new(),
+            seen_as: None,
+        }
     };
     let annotations = Annotations { objects: (0..count).map(object).collect(), of_point: None };
     instances_of(&annotations, &PointCloud::default(), NamedBy::Encoder)

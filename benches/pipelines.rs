@@ -52,7 +52,8 @@ fn pipelines(c: &mut Criterion) {
     group.finish();
 
     let mut group = c.benchmark_group("stage 2, sample scene");
-    let scene = SceneView { instances: &parsed.instances, extent: parsed.extent, names: &NameIndex::of(&parsed.instances), appearance: None };
+    let scene =
+        SceneView { instances: &parsed.instances, extent: parsed.extent, names: &NameIndex::of(&parsed.instances), appearance: None };
     let question = |query: &str| Question::of(query);
     for query in ["the orange stool", "the bookcase between the red sofa and the desk"] {
         let question = question(query);

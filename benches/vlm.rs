@@ -64,7 +64,8 @@ impl Sample {
 
     fn context(&self, words: &str) -> PromptContext {
         let scene = &self.parsed.scene;
-        let view = SceneView { instances: &scene.instances, extent: scene.extent, names: &NameIndex::of(&scene.instances), appearance: None };
+        let view =
+            SceneView { instances: &scene.instances, extent: scene.extent, names: &NameIndex::of(&scene.instances), appearance: None };
         ground_with_context(view, &Question::of(words), query::parse(words), Duration::ZERO).1
     }
 

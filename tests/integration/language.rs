@@ -190,7 +190,8 @@ fn words_that_name_nothing_get_no_box() {
     let Some(rooms) = rooms(&["room1", "room2"]) else { return };
     let instances = instances(&rooms[0].1.annotations);
     let corners: Vec<_> = instances.iter().flat_map(|i| i.aabb.corners()).collect();
-    let view = SceneView { instances: &instances, extent: Aabb::around(&corners).unwrap(), names: &NameIndex::of(&instances), appearance: None };
+    let view =
+        SceneView { instances: &instances, extent: Aabb::around(&corners).unwrap(), names: &NameIndex::of(&instances), appearance: None };
     for query in ["?", "the of and", "🪑", "椅子", "'; DROP TABLE scenes; --", "the red chair that is not red", "the"] {
         let question = Question::of(query);
         let answer = ground(view, &question);

@@ -226,8 +226,7 @@ impl OpenScene for LocalScene {
         let answered = answer(&source, self.vlm.as_deref(), question, configuration)?;
         let latency_ms = start.elapsed().as_secs_f64() * 1e3;
         let Answered { grounding, parsed, parser, encoder, reasoner, calls, .. } = answered;
-        let scoring =
-            ShortlistScoring { from: configuration.candidates, query_text: configuration.query_text, calibrated: false };
+        let scoring = ShortlistScoring { from: configuration.candidates, query_text: configuration.query_text, calibrated: false };
         let shortlist = shortlist_of(source.as_ref(), &expression.query, &parsed, scoring, false, SHORTLIST_DEPTH as usize)?;
         Ok(Reply {
             status: grounding.status,
@@ -280,7 +279,12 @@ fn answer(source: &Arc<AlbumScene>, vlm: Option<&Reviewer>, question: Question, 
     let review = vlm.filter(|_| configuration.reasoner != ReasonerChoice::Builtin).map(|vlm| Review {
         model: vlm.model.clone(),
         budgets: vlm.budgets.clone(),
-        options: Options { ablation: configuration.ablation, evidence: configuration.evidence, prompt: configuration.prompt, json: vlm.json },
+        options: Options {
+            ablation: configuration.ablation,
+            evidence: configuration.evidence,
+            prompt: configuration.prompt,
+            json: vlm.json,
+        },
         without_model: WithoutModel::Fail,
     });
     let ask = Ask { question, parser, without_parser: WithoutModel::Fail, allow_builtin_encoder: false, review };

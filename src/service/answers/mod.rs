@@ -89,12 +89,16 @@ impl Service {
         let asks_model = reviewer.is_some() || request.parser == ParserChoice::Vlm;
         let ask = self.ask(&request, &asker.caller, reviewer, &budgets)?;
         let answered = match request.timeout_s {
-            Some(seconds) => match timeout(Duration::from_secs_f32(seconds).saturating_sub(start.elapsed()), pipeline::answer(&source, ask)).await {
-                Ok(answered) => answered?,
-                // Who did not insist on the model gets what there is without it.
-                Err(_) if asks_model && request.reasoner == ReasonerChoice::Auto => self.without_model(&request, &source, seconds).await?,
-                Err(_) => return Err(Error::QuestionTimedOut { seconds }),
-            },
+            Some(seconds) => {
+                match timeout(Duration::from_secs_f32(seconds).saturating_sub(start.elapsed()), pipeline::answer(&source, ask)).await {
+                    Ok(answered) => answered?,
+                    // Who did not insist on the model gets what there is without it.
+                    Err(_) if asks_model && request.reasoner == ReasonerChoice::Auto => {
+                        self.without_model(&request, &source, seconds).await?
+                    }
+                    Err(_) => return Err(Error::QuestionTimedOut { seconds }),
+                }
+            }
             None => pipeline::answer(&source, ask).await?,
         };
         answered.calls.iter().for_each(|call| self.metrics.vlm.purpose(call.purpose));

@@ -25,21 +25,26 @@ const SPECK_M: f32 = 0.04;
 /// The `top_k` candidates of a question, best first; `scores` are the built-in reasoner's, by index, and told as the candidates' own.
 pub(super) fn choose(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], from: CandidateSource, top_k: usize) -> Vec<Candidate> {
     let scene = assessor.scene;
-    let order = match (from, scene.appearance.and_then(Appearance::shortlist)) {
-        (CandidateSource::Encoder, Some(looks)) => {
-            let mut looks = looks.to_vec();
-            one_per_place(scene.instances, &mut looks);
-            best(&looks, top_k)
-        }
-        (CandidateSource::Encoder, None) => best(&assessor.own_fits(&parsed.target).1, top_k),
-        (CandidateSource::Reasoner, _) => reasoned(assessor, parsed, scores, top_k),
-        (CandidateSource::Fused, _) => fused(assessor, parsed, scores, top_k),
+    let order = match from {
+        CandidateSource::Encoder => best(&looks(assessor, &parsed.target), top_k),
+        CandidateSource::Reasoner => reasoned(assessor, parsed, scores, top_k),
+        CandidateSource::Fused => fused(assessor, parsed, scores, top_k),
     };
     let candidate = |(i, rank): (usize, u32)| {
         let instance = &scene.instances[i];
         Candidate { id: instance.id, rank, score: scores[i], aabb: instance.aabb }
     };
     order.into_iter().zip(1..).map(candidate).collect()
+}
+
+/// How alike an instance's looks and the question's words are, by index, one instance for each place; names and measures where no encoder
+/// has seen the scene.
+pub(super) fn looks(assessor: &Assessor, target: &Phrase) -> Vec<f32> {
+    let scene = assessor.scene;
+    let Some(looks) = scene.appearance.and_then(Appearance::shortlist) else { return assessor.own_fits(target).1 };
+    let mut looks = looks.to_vec();
+    one_per_place(scene.instances, &mut looks);
+    looks
 }
 
 /// Indices of what scores anything, best first.
@@ -73,7 +78,8 @@ fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize
         let is_thing = instance.structure.is_none() && scene.names.get(i).is_none_or(super::GivenName::is_thing);
         (is_thing || asks_for_structure) && instance.aabb.size.max() >= SPECK_M
     };
-    let is_called_so = |i: usize| meaning != Meaning::Anything && scene.names.get(i).is_some_and(|name| name.fit(target, &meaning) >= CALLED_SO);
+    let is_called_so =
+        |i: usize| meaning != Meaning::Anything && scene.names.get(i).is_some_and(|name| name.fit(target, &meaning) >= CALLED_SO);
     let rankings: [Option<&[f32]>; 4] = [Some(scores), Some(&read.own), looks, Some(&placed)];
     let mut fusion = vec![0.0_f32; scores.len()];
     for (scores, weight) in rankings.into_iter().zip(WEIGHTS).filter_map(|(scores, weight)| Some((scores?, weight))) {
@@ -96,4 +102,59 @@ fn member(read: &Assessment, i: usize) -> f32 {
     let colour = if read.nouns[i] > 0.0 { read.own[i] / read.nouns[i] } else { 0.0 };
     let related = if read.own[i] > 0.0 { read.total[i] / read.own[i] } else { 0.0 };
     read.nouns[i] * related * (WITHOUT_COLOUR + (1.0 - WITHOUT_COLOUR) * colour)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::boxes::Aabb;
+    use crate::geometry::{Point3, Vector3};
+    use crate::grounding::direction::DirectionConvention;
+    use crate::grounding::{NameIndex, SceneView, query, rank_candidates};
+    use crate::models::attributes::{name_guesses, tests::thing};
+    use crate::scene::{Instance, Structure, Support};
+
+    /// Things of one size in a row, named; a wall behind them.
+    fn room(names: &[&str]) -> Vec<Instance> {
+        let named = |(i, name): (usize, &&str)| {
+            let at = [i as f32, 0.0];
+            Instance { given_name: Some((*name).to_owned()), ..thing(i as u32 + 1, at, [0.5, 0.5, 0.6], 0.0, Support::Floor, [120; 3]) }
+        };
+        let mut instances: Vec<Instance> = names.iter().enumerate().map(named).collect();
+        let wall = thing(instances.len() as u32 + 1, [2.0, 2.0], [6.0, 0.1, 2.6], 0.0, Support::Floor, [200; 3]);
+        instances.push(Instance { structure: Some(Structure::Wall), ..wall });
+        instances.iter_mut().for_each(|i| i.names = name_guesses(i));
+        instances
+    }
+
+    fn ids(instances: &[Instance], words: &str, top_k: usize) -> Vec<u32> {
+        let extent = Aabb { center: Point3::new(2.0, 1.0, 1.3), size: Vector3::new(8.0, 5.0, 2.6) };
+        let scene = SceneView { instances, extent, names: &NameIndex::of(instances), appearance: None };
+        rank_candidates(scene, &query::parse(words), CandidateSource::Fused, top_k)
+            .iter()
+            .map(|c| c.id.0)
+            .collect()
+    }
+
+    #[test]
+    fn what_is_called_so_comes_before_what_stands_there() {
+        let names = ["grey trash can", "small wooden stool", "lime green bean bag chair", "white bean bag", "tall floor lamp"];
+        let room = room(&names);
+        assert_eq!(ids(&room, "the white beanbag next to the lamp", 2), [4, 3], "colour tells members apart, class comes first");
+        assert_eq!(ids(&room, "the beanbag next to the stool", 2), [3, 4], "place before colour");
+        let all = ids(&room, "the beanbag", 24);
+        assert!(all.len() <= names.len() && !all.contains(&6), "no wall unless asked for: {all:?}");
+        assert_eq!(ids(&room, "the wall", 1), [6]);
+    }
+
+    #[test]
+    fn the_reasoner_s_candidates_are_those_that_fit_and_then_those_that_stand_there() {
+        let instances = room(&["red mug", "blue mug"]);
+        let extent = Aabb { center: Point3::new(2.0, 1.0, 1.3), size: Vector3::new(8.0, 5.0, 2.6) };
+        let scene = SceneView { instances: &instances, extent, names: &NameIndex::of(&instances), appearance: None };
+        let assessor = Assessor::new(scene, DirectionConvention::Paper.into());
+        let parsed = query::parse("the mug");
+        let chosen = choose(&assessor, &parsed, &[0.9, 0.5, 0.0], CandidateSource::Reasoner, 2);
+        assert_eq!(chosen.iter().map(|c| (c.id.0, c.rank)).collect::<Vec<_>>(), [(1, 1), (2, 2)]);
+    }
 }

@@ -1,8 +1,8 @@
 //! How well instances fit what a phrase says of the thing itself: noun x colours x traits. Relations are [`assess`](super::assess)'s.
 
+use super::SceneView;
 use super::kinds::breadth;
 use super::names::GivenName;
-use super::SceneView;
 use super::place::one_per_place;
 use super::query::{Meaning, Phrase, Trait};
 use super::solid::Solid;
@@ -125,10 +125,7 @@ pub fn colours_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
     };
     // Two colours share the surface: each needs to be there, neither needs to rule.
     let n = phrase.colours.len().max(1) as f32;
-    let wanted = phrase
-        .colours
-        .iter()
-        .map(|&c| (colour_fit(c) * n.sqrt()).clamp(WRONG_COLOUR, 1.0));
+    let wanted = phrase.colours.iter().map(|&c| (colour_fit(c) * n.sqrt()).clamp(WRONG_COLOUR, 1.0));
     let unwanted = phrase.other_than.iter().map(|&c| (1.0 - colour_fit(c)).max(WRONG_COLOUR));
     wanted.chain(unwanted).product()
 }

@@ -91,19 +91,12 @@ impl Question {
 /// The `top_k` best candidates for a question, without a decision (paper, section 3.2: by the encoder).
 #[must_use]
 pub fn rank_candidates(scene: SceneView, parsed: &query::ParsedQuery, from: CandidateSource, top_k: usize) -> Vec<Candidate> {
-    if let (CandidateSource::Encoder, Some(looks)) = (from, scene.appearance.and_then(Appearance::shortlist)) {
-        let mut scores = looks.to_vec();
-        place::one_per_place(scene.instances, &mut scores);
-        return shortlist::rank(scene, &scores, top_k);
-    }
     let mut assessor = Assessor::new(scene, DirectionConvention::Paper.into());
-    match from {
-        CandidateSource::Encoder => shortlist::rank(scene, &assessor.own_fits(&parsed.target).1, top_k),
-        _ => {
-            let scores = reasoner::builtin::decide(&mut assessor, parsed).scores;
-            candidates::choose(&assessor, parsed, &scores, from, top_k)
-        }
+    if from == CandidateSource::Encoder {
+        return shortlist::rank(scene, &candidates::looks(&assessor, &parsed.target), top_k);
     }
+    let scores = reasoner::builtin::decide(&mut assessor, parsed).scores;
+    candidates::choose(&assessor, parsed, &scores, from, top_k)
 }
 
 /// Answers a question, read by the built-in grammar.

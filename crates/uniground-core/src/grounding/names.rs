@@ -67,13 +67,12 @@ const SAME_WORDS: f32 = 0.9;
 const WORDS_BESIDE_ITS_NOUN: f32 = 0.6;
 /// Words after which a name speaks of other things.
 const ELSEWHERE: [&str; 18] = [
-    "with", "under", "on", "in", "near", "next", "behind", "beside", "above", "below", "against", "at", "by", "beneath", "of", "from", "and",
-    "holding",
+    "with", "under", "on", "in", "near", "next", "behind", "beside", "above", "below", "against", "at", "by", "beneath", "of", "from",
+    "and", "holding",
 ];
 /// Words for a stretch of a wall, a floor or a ceiling.
-const STRETCH: [&str; 14] = [
-    "section", "panel", "corner", "area", "surface", "edge", "patch", "piece", "portion", "trim", "segment", "strip", "part", "fragment",
-];
+const STRETCH: [&str; 14] =
+    ["section", "panel", "corner", "area", "surface", "edge", "patch", "piece", "portion", "trim", "segment", "strip", "part", "fragment"];
 const NOTHING: [&str; 7] = ["not a thing", "nothing", "no object", "noise", "artifact", "artefact", "empty"];
 const UNCLEAR: [&str; 7] = ["unclear", "unknown", "unidentified", "unidentifiable", "unrecognizable", "unrecognisable", "n/a"];
 
@@ -92,7 +91,9 @@ impl GivenName {
             Some(whole) => (Kind::Part, whole.to_owned()),
             None => (Kind::Thing, text),
         };
-        let named = text.strip_prefix("structure").map_or(text.as_str(), |rest| rest.trim_start_matches([':', ' ', '-']));
+        let named = text
+            .strip_prefix("structure")
+            .map_or(text.as_str(), |rest| rest.trim_start_matches([':', ' ', '-']));
         let words: Vec<String> = main_words(named).map(|word| singular(&word).to_owned()).collect();
         let kind = structure_in(&words).map_or(kind, Kind::Structure);
         Some(Self { kind, phrase: query::parse(named).target, words })
@@ -119,8 +120,12 @@ impl GivenName {
     /// Its noun: the last words that a dictionary knows together, the most of them; what the grammar takes for it where none does.
     fn noun(&self) -> Option<String> {
         let known = |words: &String| Lexicon::get().find(words).is_some() || WordNet::get().names(words);
-        let runs = (1..=self.words.len()).rev().flat_map(|end| (0..end).map(move |from| self.words[from..end].join(" ")));
-        runs.into_iter().find(known).or_else(|| Some(self.phrase.head.clone()).filter(|head| !head.is_empty()))
+        let runs = (1..=self.words.len())
+            .rev()
+            .flat_map(|end| (0..end).map(move |from| self.words[from..end].join(" ")));
+        runs.into_iter()
+            .find(known)
+            .or_else(|| Some(self.phrase.head.clone()).filter(|head| !head.is_empty()))
     }
 
     /// By the words alone, where no dictionary helps.

@@ -11,7 +11,9 @@ use super::appearance::{Appearance, ShortlistScoring};
 use super::query::{BuiltinParser, ParsedQuery, QueryParser, parse};
 use super::reasoner::builtin;
 pub use super::scene_source::{QuestionError, SceneSource};
-use super::vlm::{self, Conversation, Decision, EvidenceMode, MAX_CALLS, Options, Outcome, PictureSettings, PromptVersion, Undecided, naming};
+use super::vlm::{
+    self, Conversation, Decision, EvidenceMode, MAX_CALLS, Options, Outcome, PictureSettings, PromptVersion, Undecided, naming,
+};
 use super::{Candidate, Grounding, Question, SceneView, decided, ground_with_context, rank_candidates};
 use crate::models::attributes;
 use crate::models::chat::{Budget, CallRecord, ChatModel, Session};

@@ -79,7 +79,10 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
     // Green and of some size, but nothing that it measures like is a fridge. An encoder has weighed the names already.
-    if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !name_matches(assessor.scene, &parsed.target, best) {
+    if assessor.scene.appearance.is_none()
+        && assessment.nouns[best] < MIN_UNNAMED_FIT
+        && !name_matches(assessor.scene, &parsed.target, best)
+    {
         return no_match(scores, NoMatchReason::Absent, why_nothing_fits(parsed));
     }
     let several = several(&scores, &order, parsed.quantity, &is_called(&parsed.target, assessor.scene));
@@ -223,9 +226,10 @@ fn name_matches(scene: SceneView, target: &Phrase, index: usize) -> bool {
 fn is_called<'a>(target: &Phrase, scene: SceneView<'a>) -> impl Fn(usize) -> bool + 'a {
     let meaning = target.meaning();
     move |i| match &meaning {
-        Meaning::Nouns(nouns) if scene.names.get(i).is_none() => {
-            scene.instances[i].names.first().is_some_and(|guess| nouns.iter().any(|noun| noun.name == guess.name))
-        }
+        Meaning::Nouns(nouns) if scene.names.get(i).is_none() => scene.instances[i]
+            .names
+            .first()
+            .is_some_and(|guess| nouns.iter().any(|noun| noun.name == guess.name)),
         _ => true,
     }
 }

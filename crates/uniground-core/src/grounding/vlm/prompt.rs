@@ -153,7 +153,10 @@ fn anchors(context: &PromptContext, prompt: PromptVersion) -> Option<String> {
         true => String::new(),
         false => format!("; it may also be {}", a.alternatives.iter().map(|id| format!("ID {id}")).collect::<Vec<_>>().join(" or ")),
     };
-    let told = context.anchors.iter().map(|a| format!("\"{}\" -> ID {}, {}{}", a.words, a.id, place(&a.aabb), others(a)));
+    let told = context
+        .anchors
+        .iter()
+        .map(|a| format!("\"{}\" -> ID {}, {}{}", a.words, a.id, place(&a.aabb), others(a)));
     let told = told.collect::<Vec<_>>().join("\n");
     let warning = match prompt {
         PromptVersion::Paper => "predicted by geometry, not certain",

@@ -331,7 +331,9 @@ fn is_nothing(value: &str) -> bool {
 /// Whether a value says that the object is seen, but not among the candidates.
 fn is_not_listed(value: &str) -> bool {
     let value = value.to_ascii_lowercase();
-    ["not listed", "not_listed", "unlisted", "visible, not listed", "visible but not listed"].iter().any(|words| value.starts_with(words))
+    ["not listed", "not_listed", "unlisted", "visible, not listed", "visible but not listed"]
+        .iter()
+        .any(|words| value.starts_with(words))
 }
 
 /// "Image 3, 512, 640, black alarm clock": three numbers and a name.
@@ -342,7 +344,9 @@ pub(super) fn seen_at(value: &str) -> Option<SeenAt> {
     let mut rest = line;
     while numbers.len() < 3 {
         let start = rest.find(|c: char| c.is_ascii_digit())?;
-        let end = rest[start..].find(|c: char| !c.is_ascii_digit() && c != '.').map_or(rest.len(), |length| start + length);
+        let end = rest[start..]
+            .find(|c: char| !c.is_ascii_digit() && c != '.')
+            .map_or(rest.len(), |length| start + length);
         numbers.push(rest[start..end].trim_end_matches('.').parse::<f32>().ok()?);
         rest = &rest[end..];
     }

@@ -1,11 +1,12 @@
 use super::*;
 use crate::geometry::boxes::Aabb;
 use crate::geometry::{Point3, Vector3};
+use crate::grounding::NoMatchReason;
 use crate::grounding::direction::Observer;
 use crate::grounding::{Grounding, NameIndex, Question, SceneView, Status, ground_with_context, query};
 use crate::models::attributes::{self, tests::thing};
 use crate::models::chat::{Part, Tokens};
-use crate::scene::{Instance, Support};
+use crate::scene::{Instance, InstanceId, Support};
 use std::fmt::Write;
 use std::time::Duration;
 
@@ -49,6 +50,7 @@ fn evidence(context: &PromptContext) -> VisualEvidence {
             .iter()
             .map(|c| (c.id.0, picture(format!("candidate-{}", c.id), 1023, 512)))
             .collect(),
+        sheets: Vec::new(),
     }
 }
 
@@ -88,6 +90,7 @@ fn prompts_are_what_they_were() {
         ("no_candidate", ablated(Ablation::NoCandidate)),
         ("simple_prompt", ablated(Ablation::SimplePrompt)),
         ("json", Options { json: true, ..Options::default() }),
+        ("paper", Options { prompt: PromptVersion::Paper, ..Options::default() }),
     ] {
         matches_snapshot(name, &written(&first_request(&context, options, BTreeMap::new())));
     }
@@ -189,9 +192,52 @@ fn decided(text: &str, context: &PromptContext) -> Decision {
     let mut decision = Decision::default();
     let reply = reply::read(text);
     decision.names.extend(reply.candidate_names.clone());
-    decision.take(reply, context);
+    let sent: Vec<String> = ["global", "candidate-6"].map(str::to_owned).into();
+    decision.take(reply, context, &sent);
     decision.project(context);
     decision
+}
+
+#[test]
+fn what_is_seen_but_not_listed_has_a_place_in_a_picture() {
+    let (mut grounding, context) = asked(QUERY, None);
+    let text = "Predicted ID: not listed\nExplanation: on the wall\nSeen at: image 2, 512, 640, round wall clock";
+    let decision = decided(text, &context);
+    assert_eq!(decision.outcome, Outcome::NotListed);
+    decision.apply(&mut grounding, &context, &room());
+    let seen = grounding.seen.unwrap();
+    assert_eq!((seen.picture.as_str(), seen.at, seen.name.as_str()), ("candidate-6", [0.512, 0.64], "round wall clock"));
+    assert_eq!(
+        (grounding.status, grounding.no_match_reason, grounding.aabb),
+        (Status::NoMatch, Some(NoMatchReason::NotListed), None)
+    );
+    // An image that was not sent is no place.
+    assert_eq!(decided("Predicted ID: not listed\nSeen at: image 9, 1, 1, clock", &context).seen, None);
+}
+
+#[test]
+fn anchors_are_shown_and_may_be_chosen_unless_the_prompt_is_the_paper_s() {
+    let (_, context) = asked("the red sofa next to the table", None);
+    let anchor = context.anchors[0].id.0;
+    let narrowed = context.narrowed_to(&[1]);
+    assert!(narrowed.is_candidate(1) && !narrowed.is_candidate(9));
+    let shown = PromptContext { shown_anchors: vec![InstanceId(anchor)], ..narrowed };
+    assert!(shown.is_candidate(anchor) && !shown.without_shown_anchors().is_candidate(anchor));
+}
+
+#[test]
+fn contact_sheets_narrow_the_candidates_down() {
+    let (_, context) = asked(QUERY, None);
+    let ids: Vec<u32> = context.candidates.iter().map(|c| c.id.0).collect();
+    let picture = Picture { name: "sheet-1".into(), jpeg: Vec::new().into(), width: 1024, height: 768 };
+    let evidence = VisualEvidence { sheets: vec![(picture, ids.clone())], ..VisualEvidence::default() };
+    matches_snapshot("narrowing", &written(&prompt::narrowing(&context, &evidence)));
+    let sheet = Options { evidence: EvidenceMode::Sheet, ..Options::default() };
+    let conversation = Conversation { context: &context, evidence: &evidence, options: sheet, names: BTreeMap::new(), unnamed: None };
+    matches_snapshot("sheet", &written(&conversation.first_request()));
+    let listed = |text: &str| reply::shortlist(text, |id| context.is_candidate(id));
+    assert_eq!(listed(&format!("I see.\nShortlist: ID {}, 999, {} and {}", ids[1], ids[0], ids[1])), [ids[1], ids[0]]);
+    assert_eq!(listed("Shortlist: none"), [] as [u32; 0]);
 }
 
 #[test]

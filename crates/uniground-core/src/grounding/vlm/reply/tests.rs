@@ -22,6 +22,7 @@ fn every_shape_of_the_corpus_is_read() {
         let id = match reply.predicted {
             Choice::Id(id) => id.to_string(),
             Choice::Nothing => "nothing".into(),
+            Choice::NotListed => "not listed".into(),
             Choice::Contradiction(..) => "contradiction".into(),
             Choice::Missing => "missing".into(),
         };
@@ -38,6 +39,22 @@ fn every_shape_of_the_corpus_is_read() {
         let expected = keys.map(|key| format!("{key}{}", value(expected, key))).join(" ");
         assert_eq!(found, expected, "{name}: {reply:?}");
     }
+}
+
+#[test]
+fn a_place_is_read_in_every_shape() {
+    let expected = Some(SeenAt { image: 3, at: [0.25, 0.5], name: "black alarm clock".into() });
+    for text in [
+        "Predicted ID: not listed\nExplanation: it stands there\nSeen at: image 3, x 250, y 500, black alarm clock",
+        "**Predicted ID:** not listed (visible)\n**Seen at:** Image 3, at 250,500, black alarm clock",
+        r#"{"Predicted ID": "not listed", "Explanation": "x", "Seen at": "3, 250, 500, black alarm clock"}"#,
+        "Predicted ID: visible, not listed\nSeen at: 3; 250; 500; black alarm clock",
+    ] {
+        let reply = read(text);
+        assert_eq!((reply.predicted, reply.seen_at), (Choice::NotListed, expected.clone()), "{text}");
+    }
+    assert_eq!(read("Predicted ID: 4\nSeen at: none").seen_at, None);
+    assert_eq!(seen_at("image 3, 1200, 20, lamp"), None);
 }
 
 #[test]
