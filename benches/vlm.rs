@@ -17,7 +17,10 @@ use uniground::config::{
 };
 use uniground_client::Client;
 use uniground_core::grounding::album::{Album, AlbumScene};
-use uniground_core::grounding::vlm::{Conversation, EvidenceMode, Options, PictureSettings, PromptContext, collect, naming};
+use uniground_core::grounding::vlm::{
+    Conversation, EvidenceMode, Options, PictureSettings, PromptContext, REMAINING, VisualEvidence, collect, contact_sheets, naming,
+    narrowing,
+};
 use uniground_core::grounding::{NameIndex, Question, SceneView, ground_with_context, query};
 use uniground_core::ingest::Unpacked;
 use uniground_core::models::chat::Tokens;
@@ -32,6 +35,8 @@ use uniground_types::question::{GroundRequest, ReasonerChoice};
 use uniground_types::settings::ParseSettings;
 
 const POINTS: usize = 200_000;
+/// Candidates that contact sheets show.
+const ON_SHEETS: usize = 24;
 const ROUNDS: usize = 15;
 
 fn main() {
@@ -62,11 +67,11 @@ impl Sample {
         Self { parsed, _folder: folder }
     }
 
-    fn context(&self, words: &str) -> PromptContext {
+    fn context(&self, words: &str, top_k: usize) -> PromptContext {
         let scene = &self.parsed.scene;
         let view =
             SceneView { instances: &scene.instances, extent: scene.extent, names: &NameIndex::of(&scene.instances), appearance: None };
-        ground_with_context(view, &Question::of(words), query::parse(words), Duration::ZERO).1
+        ground_with_context(view, &Question { top_k, ..Question::of(words) }, query::parse(words), Duration::ZERO).1
     }
 
     /// The scene with nothing drawn yet, over `points` of its cloud.
@@ -83,14 +88,14 @@ impl Sample {
 
     /// Three renders of 680 x 680 and five collages, drawn and encoded; photographs come from files, the cloud is in memory.
     fn time_evidence(&self, queries: &[String]) {
-        let context = queries.iter().map(|q| self.context(q)).find(|c| c.candidates.len() == 5).unwrap();
+        let context = queries.iter().map(|q| self.context(q, 5)).find(|c| c.candidates.len() == 5).unwrap();
         let settings = PictureSettings::of(EvidenceMode::Full);
         let mut times: Vec<f64> = (0..ROUNDS)
             .map(|_| {
                 let scene = self.fresh(POINTS);
                 let start = Instant::now();
                 let evidence = collect(scene.as_ref(), &context, &settings).unwrap();
-                assert!(evidence.global.is_some() && evidence.collages.len() == 5);
+                assert!(evidence.global.is_some() && evidence.collages.len() >= 5);
                 start.elapsed().as_secs_f64() * 1e3
             })
             .collect();
@@ -107,35 +112,56 @@ impl Sample {
         let scene = self.fresh(self.parsed.scene.cloud.len());
         // Names as somebody gives them who looks; the encoder's stand in for a model's.
         let name = |id: u32| format!("{} object", self.parsed.scene.instances[id as usize - 1].label());
-        let (mut full, mut cached, mut text) = (0, 0, 0);
+        let (mut full, mut cached, mut sheet, mut two_step, mut text) = (0, 0, 0, 0, 0);
         let mut photographed = 0;
         for words in queries {
-            let context = self.context(words);
-            for (evidence, total) in [(EvidenceMode::Full, &mut full), (EvidenceMode::CachedNames, &mut cached)] {
+            let (five, many) = (self.context(words, 5), self.context(words, ON_SHEETS));
+            let remain: Vec<u32> = many.candidates.iter().map(|c| c.id.0).take(REMAINING).collect();
+            let three = many.narrowed_to(&remain);
+            let first_step = {
+                let ids: Vec<InstanceId> = many.candidates.iter().map(|c| c.id).collect();
+                let sheets = contact_sheets(scene.as_ref(), &ids).unwrap();
+                Tokens::of(&narrowing(&many, &VisualEvidence { sheets, ..VisualEvidence::default() })).total()
+            };
+            two_step += first_step;
+            let modes = [
+                (EvidenceMode::Full, &five, &mut full),
+                (EvidenceMode::CachedNames, &five, &mut cached),
+                (EvidenceMode::Sheet, &many, &mut sheet),
+                (EvidenceMode::TwoStep, &three, &mut two_step),
+            ];
+            for (evidence, context, total) in modes {
                 let settings = PictureSettings::of(evidence);
-                let pictures = collect(scene.as_ref(), &context, &settings).unwrap();
+                let pictures = collect(scene.as_ref(), context, &settings).unwrap();
                 let names: BTreeMap<u32, String> = context.candidates.iter().map(|c| (c.id.0, name(c.id.0))).collect();
                 let options = Options { evidence, ..Options::default() };
-                let request = Conversation { context: &context, evidence: &pictures, options, names, unnamed: None }.first_request();
+                let request = Conversation { context, evidence: &pictures, options, names, unnamed: None }.first_request();
                 let tokens = Tokens::of(&request);
                 *total += tokens.total();
                 match evidence {
                     EvidenceMode::Full => text = text.max(tokens.text),
                     EvidenceMode::CachedNames => photographed += request.user.len() - 2,
+                    EvidenceMode::Sheet | EvidenceMode::TwoStep => {}
                 }
             }
         }
         let objects: Vec<InstanceId> = self.parsed.scene.instances.iter().filter(|i| i.structure.is_none()).map(|i| i.id).collect();
         let naming: u64 = objects
             .chunks(naming::PER_SHEET)
-            .map(|ids| {
-                let (sheet, ids) = naming::sheet_of(scene.as_ref(), 1, ids).unwrap().unwrap();
-                Tokens::of(&naming::request(sheet, &ids)).total()
+            .filter_map(|ids| {
+                let (sheet, ids) = naming::sheet_of(scene.as_ref(), 1, ids).unwrap()?;
+                Some(Tokens::of(&naming::request(sheet, &ids)).total())
             })
             .sum();
         let count = queries.len() as u64;
         println!("\n| evidence | prompt tokens per question (of {count}) | of full |\n|---|---|---|");
-        println!("| full | {} (text at most {text}) | 1.00 |", full / count);
+        println!("| full, 5 candidates, one call | {} (text at most {text}) | 1.00 |", full / count);
+        println!("| sheet, {ON_SHEETS} candidates, one call | {} | {:.2} |", sheet / count, sheet as f64 / full as f64);
+        println!(
+            "| two_step, {ON_SHEETS} then {REMAINING}, two calls | {} | {:.2} |",
+            two_step / count,
+            two_step as f64 / full as f64
+        );
         println!("| cached_names | {} | {:.2} |", cached / count, cached as f64 / full as f64);
         println!(
             "| cached_names, with naming all {} objects once | {} | {:.2} |",

@@ -17,7 +17,7 @@ pub mod reply;
 mod visual_evidence;
 
 pub use decision::{Decision, Outcome};
-pub use prompt::{REMAINING, reasoner_name};
+pub use prompt::{REMAINING, narrowing, reasoner_name};
 pub use prompt_context::{PromptAnchor, PromptCandidate, PromptContext};
 pub use uniground_types::question::{Ablation, EvidenceMode, PromptVersion};
 pub use visual_evidence::{PictureSettings, VisualEvidence, collect, contact_sheets};

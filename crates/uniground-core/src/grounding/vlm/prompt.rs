@@ -119,12 +119,15 @@ fn images(context: &PromptContext, shown: &VisualEvidence) -> String {
             1 => write!(text, "Image {next} shows the candidate {first}"),
             n => write!(text, "Images {next} to {} show one candidate each, in this order: {}", next + n - 1, ids.join(", ")),
         };
-        let _ = text.write_str(". Above: close crops of the object from up to three viewpoints. Below: the pictures they come from, with the object in a red box.");
+        let _ = text.write_str(". Above: close crops of the object from up to three viewpoints, a yellow line around it and its surroundings darker. Below: the pictures they come from, with the object in a red box.");
         next += ids.len();
     }
     for ((_, ids), number) in shown.sheets.iter().zip(next..) {
         let ids = ids.iter().map(of).collect::<Vec<_>>().join(", ");
-        let _ = write!(text, "\nImage {number} is a contact sheet: one photograph of each candidate under its ID, row by row: {ids}.");
+        let _ = write!(
+            text,
+            "\nImage {number} is a contact sheet: one photograph of each candidate under its ID, a yellow line around it, row by row: {ids}."
+        );
     }
     text.trim().to_owned()
 }
@@ -281,7 +284,8 @@ fn what_was_wrong(context: &PromptContext, correction: &Correction) -> String {
 }
 
 /// The first step of two: contact sheets of all candidates, of which three at most remain.
-pub(super) fn narrowing(context: &PromptContext, evidence: &VisualEvidence) -> ChatRequest {
+#[must_use]
+pub fn narrowing(context: &PromptContext, evidence: &VisualEvidence) -> ChatRequest {
     let mut user: Vec<Part> = evidence.sheets.iter().map(|(sheet, _)| Part::Picture(sheet.clone())).collect();
     let blocks = [
         images(context, &VisualEvidence { global: None, collages: BTreeMap::new(), sheets: evidence.sheets.clone() }),
