@@ -25,7 +25,7 @@ pub struct LoadedParse {
 
 /// Scenes whose instances stay in memory: a few kilobytes an instance.
 const PARSES: usize = 64;
-/// Points of clouds that stay in memory, 16 bytes each.
+/// Points of clouds that stay in memory, 17 bytes each.
 const POINTS: usize = 8_000_000;
 /// Files whose state is remembered.
 const FILES: usize = 4096;

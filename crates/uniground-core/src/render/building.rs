@@ -74,8 +74,8 @@ const DRAWN_IN: f32 = 0.2;
 #[derive(Debug, Clone)]
 pub(super) struct Building {
     sheets: Vec<Sheet>,
-    /// Number of each point's plane, from 1; 0 for what is always drawn.
-    of_point: Vec<u8>,
+    /// Numbers of each point's planes, from 1: two where they meet; 0 for none.
+    of_point: Vec<[u8; 2]>,
     /// Both boxes of every instance: those of things that lie at a turned wall are thin in one of them only.
     boxes: Vec<(Aabb, OrientedBox)>,
 }
@@ -145,12 +145,22 @@ impl Building {
         let of_point = positions
             .par_iter()
             .map(|p| {
-                let own = sheets.iter().enumerate().filter_map(|(i, sheet)| Some((i, sheet.owns(p)?)));
-                // Where they meet a ceiling has the rim: it would float over the room.
-                let is_wall = |i: usize| sheets[i].structure == Structure::Wall;
-                let nearest = own.min_by(|a, b| is_wall(a.0).cmp(&is_wall(b.0)).then(a.1.total_cmp(&b.1))).map(|(i, _)| i);
-                let on = || hung.iter().find(|(_, of)| holds(of, RIM_M, p)).map(|(i, _)| *i);
-                nearest.or_else(on).map_or(0, |i| i as u8 + 1)
+                // A ceiling comes first: its rims would float over the room.
+                let mut nearest: [Option<(usize, f32)>; 2] = [None; 2];
+                for (i, sheet) in sheets.iter().enumerate() {
+                    let Some(distance_m) = sheet.owns(p) else { continue };
+                    let is_wall = |i: usize| sheets[i].structure == Structure::Wall;
+                    let before = |(other, other_m): (usize, f32)| (is_wall(i), distance_m) < (is_wall(other), other_m);
+                    if nearest[0].is_none_or(before) {
+                        nearest = [Some((i, distance_m)), nearest[0]];
+                    } else if nearest[1].is_none_or(before) {
+                        nearest[1] = Some((i, distance_m));
+                    }
+                }
+                if nearest[0].is_none() {
+                    nearest[0] = hung.iter().find(|(_, of)| holds(of, RIM_M, p)).map(|(i, _)| (*i, 0.0));
+                }
+                nearest.map(|own| own.map_or(0, |(i, _)| i as u8 + 1))
             })
             .collect();
         let boxes = instances.iter().map(|i| (i.aabb, i.oriented_box)).collect();
@@ -177,14 +187,13 @@ impl Building {
         Opening { open: self.sheets.iter().map(open).collect(), shown }
     }
 
-    /// Whether a point is drawn. Of what is in a subject's box the subject is, not the wall it stands at.
+    /// Whether a point is drawn: where a wall that is looked through meets another its rim goes too. Of what is in a subject's box the subject is, not the wall it stands at.
     pub fn draws(&self, point: usize, p: &Point3<f32>, opening: &Opening) -> bool {
-        let Some(i) = (self.of_point[point] as usize).checked_sub(1).filter(|i| opening.open[*i]) else { return true };
-        let sheet = &self.sheets[i];
-        opening
-            .shown
-            .iter()
-            .any(|s| (s.flat[i] || sheet.distance(p) > sheet.slack_m) && holds(&s.within, RIM_M, p))
+        let own = self.of_point[point].into_iter().filter_map(|number| (number as usize).checked_sub(1));
+        own.filter(|&i| opening.open[i]).all(|i| {
+            let before = self.sheets[i].distance(p) > self.sheets[i].slack_m;
+            opening.shown.iter().any(|s| (s.flat[i] || before) && holds(&s.within, RIM_M, p))
+        })
     }
 
     /// Where the walls that are looked through stand on the floor: their lower edges.

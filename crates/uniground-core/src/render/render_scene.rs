@@ -48,7 +48,7 @@ impl RenderScene {
         Self::of_parsed(cloud, &[])
     }
 
-    /// Measures a cloud whose walls and ceilings are known: some passes over its points. A byte a point is kept beside the cloud.
+    /// Measures a cloud whose walls and ceilings are known: some passes over its points. Two bytes a point are kept beside the cloud.
     #[must_use]
     pub fn of_parsed(cloud: impl Into<Arc<PointCloud>>, instances: &[Instance]) -> Self {
         let cloud = cloud.into();
