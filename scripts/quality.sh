@@ -14,13 +14,15 @@ if [ ! -d "$rooms" ]; then
 fi
 folders=$(mktemp -d)
 trap 'rm -rf "$folders"' EXIT
-mkdir "$folders/scenes" "$folders/others"
+mkdir "$folders/scenes" "$folders/others" "$folders/named"
 for file in "$rooms"/*.zip "$rooms"/*.queries.json "$rooms"/*.scene.json; do
     room=$(basename "$file" | cut -d. -f1)
     if [ ! -f "$rooms/$room.queries.json" ]; then continue; fi
     if grep -q "\"$room#" "$baseline" || [ -n "${UPDATE:-}" ]; then kind=scenes; else kind=others; fi
     ln -s "$(realpath "$file")" "$folders/$kind/"
+    ln -s "$(realpath "$file")" "$folders/named/"
 done
+for file in benches/names/*.names.json; do ln -s "$(realpath "$file")" "$folders/named/"; done
 matrix="source=parsed,oracle-boxes,oracle;top_k=10"
 label=$(git rev-parse --short HEAD 2>/dev/null || echo unknown)
 if [ -n "$(ls "$folders/others")" ]; then
@@ -31,3 +33,5 @@ fi
 against=(--baseline "$baseline")
 [ -n "${UPDATE:-}" ] && against=(--write-baseline "$baseline")
 ./target/release/uniground eval "$folders/scenes" --out target/quality --matrix "$matrix" --label "$label" "${against[@]}"
+echo "All rooms, with names as somebody gives them who looks (benches/names), and 24 candidates:"
+./target/release/uniground eval "$folders/named" --out target/quality-named --matrix "source=parsed,oracle-boxes;names=seen;top_k=24" --label "$label"

@@ -52,7 +52,7 @@ pub struct Figures {
     pub oriented: Option<Oriented>,
     /// Candidate recall at k = 1, 2, ... `top_k`.
     pub recall_at: Vec<[f32; 2]>,
-    /// Recall of the shortlist by names and attributes alone, at k = 1, 2, ...
+    /// Recall of the shortlist, at k = 1, 2, ...
     pub shortlist_recall_at: Vec<[f32; 2]>,
     /// Whether any instance covers the target: stage 1's ceiling.
     pub any_instance: [f32; 2],

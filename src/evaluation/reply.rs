@@ -16,7 +16,7 @@ pub struct Reply {
     pub confidence: f32,
     /// What the reasoner chose from, best first: the asked `top_k`.
     pub candidates: Vec<Candidate>,
-    /// Boxes by names and attributes alone, best first, up to [`SHORTLIST_DEPTH`] whatever `top_k` was.
+    /// Boxes as the shortlist has them, best first, up to [`SHORTLIST_DEPTH`] whatever `top_k` was.
     pub shortlist: Vec<Aabb>,
     pub models: Models,
     pub usage: Usage,

@@ -37,7 +37,7 @@ pub struct TargetOutcome {
     pub iou_9dof: Option<f32>,
     /// Axis-aligned IoU of each candidate, by rank.
     pub candidate_ious: Vec<f32>,
-    /// The same of the shortlist by names and attributes alone.
+    /// The same of the shortlist.
     pub shortlist_ious: Vec<f32>,
     /// The best of all instances: stage 1's ceiling.
     pub best_instance_iou: f32,

@@ -130,6 +130,7 @@ const LATER_ROWS: &[(&str, &str)] = &[
         "instance_names",
         "INSERT INTO instance_names VALUES ('PARSE', 'a-model', 1, 1, 'crate', '2026-11-20T00:00:00Z')",
     ),
+    ("name_indexes", "INSERT INTO name_indexes VALUES ('PARSE', 'a-model', 1, '2026-11-20T00:00:00Z')"),
     ("spending", "INSERT INTO spending VALUES ('2026-11-20', 0.5)"),
     ("data_folder", "INSERT INTO data_folder VALUES ('a-folder', '2026-11-20T00:00:00Z')"),
     ("reservations", "INSERT INTO reservations (id, day, usd) VALUES ('r', '2026-11-20', 0.25)"),

@@ -8,12 +8,12 @@ use std::time::Duration;
 use uniground::config::{LimitsConfig, RetentionConfig, VlmConfig};
 use uniground_core::grounding::Status;
 use uniground_types::answer::Answer;
-use uniground_types::instances::Levels;
-use uniground_types::job::{Job, JobState};
-use uniground_types::question::{Ablation, EvidenceMode, GroundRequest, ReasonerChoice};
+use uniground_types::job::JobState;
+use uniground_types::question::{Ablation, GroundRequest, PromptVersion, ReasonerChoice};
 use uniground_types::transcript::PromptPart;
 
 mod budgets;
+mod naming;
 mod trouble;
 
 const QUERY: &str = "the mug on the coffee table";
@@ -45,7 +45,7 @@ fn by(reasoner: ReasonerChoice) -> GroundRequest {
     GroundRequest { reasoner, ..ask(QUERY) }
 }
 
-/// What the geometry alone says: its candidates are the model's.
+/// What the geometry alone says.
 async fn builtin(server: &TestServer, scene: &str) -> Answer {
     server.client.ground(scene, &by(ReasonerChoice::Builtin)).await.unwrap()
 }
@@ -97,7 +97,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     assert!(!answer.answer.candidate_names.contains_key(&4711));
     assert_eq!(answer.answer.relation_used.as_deref(), Some("on the coffee table"));
     assert_eq!((answer.answer.anchor_id.map(|id| id.0), answer.answer.target_name_matches), (Some(anchor), Some(true)));
-    assert_eq!((answer.models.reasoner.as_str(), answer.degraded), ("scripted (prompt 2)", false));
+    assert_eq!((answer.models.reasoner.as_str(), answer.degraded), ("scripted (prompt 3)", false));
     assert_eq!((answer.usage.vlm_calls, answer.usage.prompt_tokens), (1, 700));
     assert!((answer.usage.cost_usd - (700.0 * 2.0 + 40.0 * 8.0) / 1e6).abs() < 1e-12);
     assert_eq!(purposes(&answer), ["spatial"]);
@@ -237,47 +237,6 @@ async fn what_does_not_hold_together_is_asked_again() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn names_are_asked_for_once() {
-    let script = Script::default();
-    let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
-    let plain = builtin(&server, &scene).await;
-    let ids: Vec<u32> = plain.candidates.as_ref().unwrap().iter().map(|c| c.id.0).collect();
-    let named = ids.iter().map(|id| format!("{id} -> red thing number {id}")).collect::<Vec<_>>().join("\n");
-    let cached = || GroundRequest { evidence: EvidenceMode::CachedNames, ..ask(QUERY) };
-    script.next(vec![says(&named), six_lines(ids[0], "", true, 1)]);
-    let answer = server.client.ground(&scene, &cached()).await.unwrap();
-    assert_eq!(purposes(&answer), ["naming", "spatial"]);
-    let sent = script.take();
-    assert!(pictures_of(&sent[0]) == 1 && !text_of(&sent[0]).contains("mug"), "names do not know the question");
-    assert!(text_of(&sent[1]).contains(&format!("\"red thing number {}\"", ids[0])));
-    assert!(pictures_of(&sent[1]) < 1 + ids.len());
-    // Again: nobody is asked for names; and they can be looked up.
-    script.next(vec![six_lines(ids[0], "", true, 1)]);
-    assert_eq!(purposes(&server.client.ground(&scene, &cached()).await.unwrap()), ["spatial"]);
-    let instances = server.client.all_instances(&scene, Levels::Things).await.unwrap();
-    let of = |id: u32| instances.iter().find(|i| i.id.0 == id).unwrap().model_name.clone();
-    assert_eq!(of(ids[0]), Some(format!("red thing number {}", ids[0])));
-    assert!(instances.iter().any(|i| i.model_name.is_none()));
-
-    // All the others, up front, in the background.
-    let names_all = |ids: &[u32]| says(&ids.iter().map(|id| format!("{id}: some thing")).collect::<Vec<_>>().join("\n"));
-    let all: Vec<u32> = instances.iter().map(|i| i.id.0).collect();
-    script.next(vec![names_all(&all)]);
-    script.take();
-    let job = finished(&server.client, &server.client.name_instances(&scene).await.unwrap().id).await;
-    assert_eq!((job.kind.as_str(), job.error.clone()), ("naming", None), "{job:?}");
-    let calls = script.calls();
-    let objects = instances.iter().filter(|i| i.structure.is_none()).count();
-    assert_eq!(calls, (objects - ids.len()).div_ceil(12));
-    let instances = server.client.all_instances(&scene, Levels::Things).await.unwrap();
-    assert!(instances.iter().all(|i| i.model_name.is_some() || i.structure.is_some()));
-    assert_eq!(instances.iter().find(|i| i.id.0 == ids[0]).unwrap().model_name, Some(format!("red thing number {}", ids[0])));
-    let again: Job = finished(&server.client, &server.client.name_instances(&scene).await.unwrap().id).await;
-    assert!(again.error.is_none() && script.calls() == calls, "nothing is paid for twice");
-    server.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
 async fn ablations_leave_out_what_they_say() {
     let script = Script::default();
     let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
@@ -291,7 +250,8 @@ async fn ablations_leave_out_what_they_say() {
         (Ablation::SimplePrompt, 1 + count, "Query: "),
     ] {
         script.take();
-        server.client.ground(&scene, &GroundRequest { ablation, ..ask(QUERY) }).await.unwrap();
+        let prompt = PromptVersion::Paper;
+        server.client.ground(&scene, &GroundRequest { ablation, prompt, ..ask(QUERY) }).await.unwrap();
         let sent = script.take().remove(0);
         assert_eq!(pictures_of(&sent), pictures, "{ablation:?}");
         assert!(text_of(&sent).starts_with(says_first), "{ablation:?}: {}", text_of(&sent));
@@ -404,8 +364,8 @@ fn a_model_is_evaluated_and_its_answers_are_kept() {
     let calls = |cell: &Value| cell["figures"]["vlm_calls"].as_f64().unwrap();
     assert_eq!((cells.len(), calls(&cells[0])), (4, 0.0));
     assert!(calls(&cells[2]) >= 1.0 && cells[2]["figures"]["cost_usd"].as_f64().unwrap() > 0.0, "{}", cells[2]["figures"]);
-    assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 2)");
-    assert!(script.take().iter().any(|body| pictures_of(body) == 6), "annotated instances have photographs");
+    assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 3)");
+    assert!(script.take().iter().any(|body| pictures_of(body) >= 6), "annotated instances have photographs");
 
     let (output, replayed) = eval(
         &root.join("b"),

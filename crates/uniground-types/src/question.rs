@@ -124,6 +124,17 @@ pub enum EvidenceMode {
     TwoStep,
 }
 
+impl EvidenceMode {
+    /// How many candidates are kept where `top_k` are asked for: as many as the contact sheets hold, where there are some.
+    #[must_use]
+    pub fn candidates(self, top_k: u32) -> u32 {
+        match self {
+            Self::Full | Self::CachedNames => top_k,
+            Self::Sheet | Self::TwoStep => top_k.max(ON_SHEETS),
+        }
+    }
+}
+
 /// Which words are compared with instances for the shortlist.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -299,15 +310,6 @@ impl GroundRequest {
             include: None,
             max_cost_usd: None,
             timeout_s: None,
-        }
-    }
-
-    /// How many candidates are kept: `top_k`, or as many as the contact sheets hold.
-    #[must_use]
-    pub fn candidates_kept(&self) -> u32 {
-        match self.evidence {
-            EvidenceMode::Full | EvidenceMode::CachedNames => self.top_k,
-            EvidenceMode::Sheet | EvidenceMode::TwoStep => self.top_k.max(ON_SHEETS),
         }
     }
 

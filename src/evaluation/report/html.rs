@@ -102,8 +102,8 @@ fn section(cell: &CellReport, folder: &Utf8Path, embedded: usize) -> String {
     let curves = [
         curve("candidates, IoU .25", &cell.figures.recall_at, 0),
         curve("candidates, IoU .5", &cell.figures.recall_at, 1),
-        curve("names and attributes alone, .25", &cell.figures.shortlist_recall_at, 0),
-        curve("names and attributes alone, .5", &cell.figures.shortlist_recall_at, 1),
+        curve("shortlist, .25", &cell.figures.shortlist_recall_at, 0),
+        curve("shortlist, .5", &cell.figures.shortlist_recall_at, 1),
     ];
     html.push_str(&charts::lines("Recall at k", "k", &curves, Some(1.0)));
     let failures: Vec<&ScoredExpression> = cell.failures().collect();

@@ -213,7 +213,7 @@ impl OpenScene for LocalScene {
         };
         let question = Question {
             query: expression.query.clone(),
-            top_k: configuration.top_k as usize,
+            top_k: configuration.evidence.candidates(configuration.top_k) as usize,
             convention: configuration.convention,
             observer: None,
             target_name: hints.and_then(|hints| hints.target_name.clone()),

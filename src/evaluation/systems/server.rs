@@ -2,7 +2,7 @@
 
 use super::{OpenScene, System};
 use crate::config::{BUILTIN_ENCODER, BUILTIN_MASKS};
-use crate::evaluation::configuration::{Configuration, Source};
+use crate::evaluation::configuration::{Configuration, Names, Source};
 use crate::evaluation::digest;
 use crate::evaluation::reply::{Reply, SHORTLIST_DEPTH};
 use crate::evaluation::suite::{Expression, Hints, SuiteScene};
@@ -64,8 +64,9 @@ impl System for Server {
     }
 
     fn accepts(&self, configuration: &Configuration) -> anyhow::Result<()> {
-        let Configuration { source, preset, settings, masks, encoder, paper_compatible, .. } = configuration;
+        let Configuration { source, names, preset, settings, masks, encoder, paper_compatible, .. } = configuration;
         ensure!(*source == Source::Parsed, "a server parses by itself: annotated and recorded instances need a run in process");
+        ensure!(*names == Names::Own, "a server has the names its own model gave: names=seen needs a run in process");
         let own = *preset == ParsePreset::Default && settings.is_none();
         ensure!(own, "a server parses with its own settings: presets and settings of a parse need a run in process");
         let unnamed = masks == BUILTIN_MASKS && encoder == BUILTIN_ENCODER;
@@ -111,9 +112,12 @@ impl System for Server {
 
 impl OpenScene for RemoteScene {
     fn ask(&self, expression: &Expression, configuration: &Configuration, _: Option<&Hints>) -> anyhow::Result<Reply> {
-        let Configuration { parser, reasoner, ablation, evidence, top_k, convention, .. } = configuration;
+        let Configuration { parser, reasoner, candidates, query_text, prompt, ablation, evidence, top_k, convention, .. } = configuration;
         let request = GroundRequest {
             top_k: *top_k,
+            candidates: *candidates,
+            query_text: *query_text,
+            prompt: *prompt,
             parser: *parser,
             reasoner: *reasoner,
             ablation: *ablation,
@@ -123,7 +127,12 @@ impl OpenScene for RemoteScene {
             min_confidence: Some(0.0),
             ..GroundRequest::of(&expression.query)
         };
-        let shortlist = ShortlistRequest { top_k: SHORTLIST_DEPTH, ..ShortlistRequest::of(&expression.query) };
+        let shortlist = ShortlistRequest {
+            top_k: SHORTLIST_DEPTH,
+            candidates: *candidates,
+            query_text: *query_text,
+            ..ShortlistRequest::of(&expression.query)
+        };
         self.runtime.block_on(async {
             let start = Instant::now();
             let answer = self.client.ground(&self.id, &request).await?;

@@ -216,7 +216,7 @@ impl Service {
         });
         let question = Question {
             query: request.query.clone(),
-            top_k: request.candidates_kept() as usize,
+            top_k: request.evidence.candidates(request.top_k) as usize,
             convention: request.direction_convention,
             observer: request.observer,
             target_name: None,

@@ -32,6 +32,8 @@ const MAX_ANCHORS_OF_A_PAIR: usize = 16;
 const IMPOSSIBLE: f32 = 0.01;
 /// A phrase whose best fit is below this names nothing that was found in the room.
 const FOUND: f32 = 0.05;
+/// Share of the best fit with which something else may be meant.
+const MAY_BE_MEANT: f32 = 0.5;
 /// Below this nothing carries what is asked for.
 const CARRIED: f32 = 0.25;
 /// What is left of a score when the other thing of a relation was not found: it may be there all the same.
@@ -152,11 +154,13 @@ impl<'a> Assessor<'a> {
         self.likely(phrase, 1).first().copied()
     }
 
-    /// Indices of what a phrase may mean, at most so many, best first.
+    /// Indices of what a phrase may mean, at most so many, best first: none that fits less than half as well as the best.
     #[must_use]
     pub fn likely(&self, phrase: &Phrase, most: usize) -> Vec<usize> {
         let total = self.assess(phrase).total;
-        largest(&total, most).into_iter().filter(|&i| total[i] > 0.0).collect()
+        let best = largest(&total, most);
+        let least = best.first().map_or(0.0, |&i| MAY_BE_MEANT * total[i]);
+        best.into_iter().filter(|&i| total[i] > 0.0 && total[i] >= least).collect()
     }
 
     /// The middle of all that a phrase's own words may mean; metres.

@@ -90,8 +90,12 @@ fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize
     let most = fusion.iter().copied().fold(f32::EPSILON, f32::max);
     // Members of the class come before everything else, so they start above the best fusion.
     let mut worth: Vec<f32> = fusion.iter().map(|f| f / most).collect();
-    for i in (0..worth.len()).filter(|&i| may_be(i) && is_called_so(i)) {
-        worth[i] += 1.0 + member(&read, i);
+    for i in (0..worth.len()).filter(|&i| may_be(i)) {
+        if is_called_so(i) {
+            worth[i] += 1.0 + member(&read, i);
+        } else if scene.names.get(i).is_some_and(|name| name.carries(target, &meaning)) {
+            worth[i] += 1.0;
+        }
     }
     one_per_place(scene.instances, &mut worth);
     best(&worth, top_k)

@@ -66,9 +66,9 @@ const SAME_WORDS: f32 = 0.9;
 /// A name that has all words asked for beside its noun: a "bean bag chair" for "bean bag".
 const WORDS_BESIDE_ITS_NOUN: f32 = 0.6;
 /// Words after which a name speaks of other things.
-const ELSEWHERE: [&str; 18] = [
+const ELSEWHERE: [&str; 17] = [
     "with", "under", "on", "in", "near", "next", "behind", "beside", "above", "below", "against", "at", "by", "beneath", "of", "from",
-    "and", "holding",
+    "holding",
 ];
 /// Words for a stretch of a wall, a floor or a ceiling.
 const STRETCH: [&str; 14] =
@@ -137,6 +137,13 @@ impl GivenName {
         if self.words.last().map(String::as_str) == wanted.last().copied() { SAME_WORDS } else { WORDS_BESIDE_ITS_NOUN }
     }
 
+    /// Whether it says that its bearer carries what is asked for: "candlestick with pink candle".
+    #[must_use]
+    pub fn carries(&self, asked: &Phrase, meaning: &Meaning) -> bool {
+        let carried = self.phrase.with.iter().filter(|with| !with.absent);
+        self.kind == Kind::Thing && carried.into_iter().any(|with| kind_fit(&with.phrase.head, asked, meaning) > 0.0)
+    }
+
     /// Whether it is a thing at all, rather than a stretch of a wall or noise.
     #[must_use]
     pub fn is_thing(&self) -> bool {
@@ -168,10 +175,19 @@ fn structure_in(words: &[String]) -> Option<Structure> {
     }
 }
 
-/// Words of a name up to the first that leads to another thing.
+/// Words of a name up to the first that leads to another thing; "and" does, but for one between colours.
 fn main_words(name: &str) -> impl Iterator<Item = String> {
-    let words = name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).map(str::to_lowercase);
-    words.take_while(|word| !ELSEWHERE.contains(&word.as_str())).collect::<Vec<_>>().into_iter()
+    let is_colour = |word: &String| ColourName::ALL.iter().any(|colour| colour.word() == word);
+    let mut words: Vec<String> = Vec::new();
+    for word in name.split(|c: char| !c.is_alphanumeric()).filter(|word| !word.is_empty()).map(str::to_lowercase) {
+        match word.as_str() {
+            "and" if words.last().is_some_and(is_colour) => {}
+            "and" => break,
+            word if ELSEWHERE.contains(&word) => break,
+            _ => words.push(word),
+        }
+    }
+    words.into_iter()
 }
 
 fn singular(word: &str) -> &str {
@@ -221,6 +237,9 @@ mod tests {
         ] {
             assert_eq!(fit(name, query), 0.0, "{name} for {query}");
         }
+        let candle = query::parse("the candle").target;
+        let carries = |name: &str| GivenName::read(name).unwrap().carries(&candle, &candle.meaning());
+        assert!(carries("white candlestick with pink candle") && !carries("white shelf with books"));
         assert_eq!(fit("unclear", "the table"), -1.0);
         assert!((0.1..0.5).contains(&fit("part of wooden bed frame", "the bed")));
     }

@@ -78,9 +78,10 @@ ID -> name"
 #[must_use]
 pub fn read(text: &str, ids: &[u32]) -> BTreeMap<u32, String> {
     let mut names = reply::names_in(text);
-    let told = names.keys().any(|id| ids.contains(id));
-    names.retain(|id, name| ids.contains(id) && name.chars().count() <= MAX_NAME_CHARS && GivenName::read(name).is_some());
-    if told {
+    names.retain(|id, name| ids.contains(id) && name.chars().count() <= MAX_NAME_CHARS);
+    // Who can not tell has said so: no name.
+    names.values_mut().filter(|name| GivenName::read(name).is_none()).for_each(String::clear);
+    if !names.is_empty() {
         for id in ids {
             names.entry(*id).or_default();
         }
