@@ -103,9 +103,11 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     assert_eq!(purposes(&answer), ["spatial"]);
     assert!(answer.timings_ms.evidence > 0.0 && answer.timings_ms.total >= answer.timings_ms.evidence + answer.timings_ms.reason - 1.0);
 
-    // What was sent: a render and one collage for every candidate, then the words; nothing that sets temperature or length.
+    // What was sent: a render, one collage for every candidate and the anchor's, then the words; nothing that sets temperature or length.
     let sent = script.take().remove(0);
-    assert_eq!(pictures_of(&sent), 1 + answer.candidates.as_ref().unwrap().len());
+    let candidates = answer.candidates.as_ref().unwrap();
+    let beside = usize::from(candidates.iter().all(|c| c.id.0 != anchor));
+    assert_eq!(pictures_of(&sent), 1 + candidates.len() + beside);
     assert!(sent.get("temperature").is_none() && sent.get("max_tokens").is_none() && sent.get("stream").is_none());
     assert!(text_of(&sent).ends_with(&format!("Query: \"{QUERY}\"")));
 
