@@ -1,0 +1,312 @@
+//! What somebody points at in a photograph, as an instance: for things that stage 1 has not cut out by themselves.
+//!
+//! The place becomes a mask, cut by a promptable segmenter or by the built-in masks. The mask takes the points of the cloud that its frame
+//! shows under it. Frames that see most of these are asked about the same thing at their middle; points they show vote, and what hangs
+//! together around the place is the thing.
+
+use super::masks::IdImage;
+use super::masks::rgbd::RgbdMasks;
+use super::outline::Outline;
+use super::visibility::{FramePoint, Visibility};
+use super::{ParseError, instances};
+use crate::geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap, typical_spacing_m};
+use crate::geometry::{Point3, Vector3};
+use crate::models::neural::{LowMask, Prompt, Segmenter};
+use crate::scene::{Frame, FrameIndex, FrameRef, Instance, PointCloud, View, stream_frames};
+use std::collections::HashSet;
+use uniground_types::settings::ParsingSettings;
+
+/// A scan, and who cuts its photographs.
+pub struct Pointing<'a> {
+    /// The points of the scan.
+    pub cloud: &'a PointCloud,
+    /// Its frames, with their picture files in place.
+    pub frames: &'a [FrameRef],
+    /// Cuts out what lies at a place; `None`: the built-in masks.
+    pub segmenter: Option<&'a Segmenter>,
+    /// As stage 1 was done with.
+    pub settings: &'a ParsingSettings,
+}
+
+/// A place in a photograph.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Place {
+    /// The frame it is taken with.
+    pub frame: FrameIndex,
+    /// Column and row in its colour picture, pixels.
+    pub at: (f32, f32),
+}
+
+/// Points fewer than these are no thing that anybody could tell.
+const LEAST_POINTS: usize = 20;
+/// Further frames that are asked.
+const MORE_FRAMES: usize = 4;
+/// Share of what a further frame sees of the thing that its mask must hold, and share of the mask that may not be known to be something else.
+const HELD: f32 = 0.6;
+/// Of the frames that see a point so many must have it in their masks.
+const VOTES: f32 = 0.5;
+/// Points hang together within so many times their typical spacing, at least [`LEAST_GAP_M`].
+const GAP_SPACINGS: f32 = 3.0;
+const LEAST_GAP_M: f32 = 0.03;
+/// Pixels around a place in which a mask is looked for where the place itself has none.
+const AROUND_PX: i32 = 6;
+/// Boxes that overlap by this much are one thing.
+const SAME_THING: f32 = 0.5;
+/// Views an instance is shown by (paper: 3).
+const VIEWS: usize = 3;
+
+/// The instance among the known ones that a thing is, if it is one.
+#[must_use]
+pub fn known_as<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a Instance> {
+    let overlap = |i: &Instance| i.aabb.iou(&found.aabb);
+    let best = known.iter().max_by(|a, b| overlap(a).total_cmp(&overlap(b)).then(b.id.cmp(&a.id)));
+    best.filter(|i| overlap(i) >= SAME_THING)
+}
+
+impl Pointing<'_> {
+    /// The thing at a place, as the next of the instances that are known. `None` where nothing can be cut out there.
+    ///
+    /// # Errors
+    /// [`ParseError`]: an unreadable frame, or a segmenter that fails.
+    pub fn find(&self, place: Place, known: &[Instance]) -> Result<Option<Instance>, ParseError> {
+        let Some(first) = self.frames.iter().find(|frame| frame.index == place.frame) else { return Ok(None) };
+        let visibility = Visibility::new(self.cloud, &vec![0; self.cloud.len()], self.settings.depth_tolerance);
+        let mut votes = Votes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
+        let frame = first.decode()?;
+        let Some(mask) = self.mask_at(&frame, place.at)? else { return Ok(None) };
+        let seen = visibility.in_frame(&frame.depth_camera, &frame.depth);
+        let seed: Vec<u32> = seen.iter().filter(|point| mask.holds(&frame, point)).map(|point| point.point).collect();
+        if seed.len() < LEAST_POINTS {
+            return Ok(None);
+        }
+        votes.count(&seen, |point| mask.holds(&frame, point));
+        for frame in self.further(&seed, place.frame)? {
+            self.ask(&frame, &visibility, &seed, &mut votes)?;
+        }
+        let points = self.hanging_together(&votes.carried(), &seed);
+        if points.len() < LEAST_POINTS {
+            return Ok(None);
+        }
+        let views = self.views_of(&points)?;
+        Ok(Some(Instance { views, ..instances::of_points(self.cloud, &points, known, &self.settings.instances) }))
+    }
+
+    /// What lies at a place of a frame's colour picture, among everything the frame's pictures show.
+    fn mask_at(&self, frame: &Frame, at: (f32, f32)) -> Result<Option<Mask>, ParseError> {
+        let Some(segmenter) = self.segmenter else {
+            let ids = RgbdMasks { settings: self.settings.rgbd_masks }.id_image(frame);
+            return Ok(nearest_mask(&ids, frame, at).map(|id| Mask::Cut { ids, id }));
+        };
+        let encoded = segmenter.encode(&frame.colour)?;
+        let masks = segmenter.decode(&encoded, &[Prompt::inside([at])])?.into_iter().flatten();
+        let best = masks.max_by(|a, b| a.predicted_iou.total_cmp(&b.predicted_iou));
+        let (scale, threshold) = (segmenter.low_scale(&encoded), segmenter.threshold());
+        Ok(best.map(|mask| Mask::Decoded { mask, scale, threshold }))
+    }
+
+    /// The frames that see most of these points, but for the one they were found in, best first.
+    fn further(&self, seed: &[u32], but: FrameIndex) -> Result<Vec<Frame>, ParseError> {
+        let of_seed = Subset::of(self.cloud, seed);
+        let others: Vec<FrameRef> = self.frames.iter().filter(|frame| frame.index != but && of_seed.may_be_in(frame)).cloned().collect();
+        let mut seeing = Vec::new();
+        stream_frames(
+            &others,
+            |frame| Ok::<_, ParseError>(of_seed.visible_in(frame, self.settings.depth_tolerance)?.len()),
+            |i, visible| {
+                seeing.push((visible, others[i].index));
+                Ok(())
+            },
+        )?;
+        seeing.sort_by_key(|&(visible, index)| (std::cmp::Reverse(visible), index));
+        let enough = (seed.len() / 4).max(LEAST_POINTS / 2);
+        let best = seeing.into_iter().filter(|(visible, _)| *visible >= enough).take(MORE_FRAMES);
+        best.map(|(_, index)| Ok(others[others.partition_point(|frame| frame.index < index)].decode()?))
+            .collect()
+    }
+
+    /// Has a further frame vote, if its mask at the middle of the seed is of the same thing.
+    fn ask(&self, frame: &Frame, visibility: &Visibility, seed: &[u32], votes: &mut Votes) -> Result<(), ParseError> {
+        let seen = visibility.in_frame(&frame.depth_camera, &frame.depth);
+        let of_seed: HashSet<u32> = seed.iter().copied().collect();
+        let own: Vec<&FramePoint> = seen.iter().filter(|point| of_seed.contains(&point.point)).collect();
+        let pixels: Vec<(f32, f32)> = own.iter().filter_map(|point| colour_pixel(frame, point)).collect();
+        let Some(middle) = medoid(&pixels) else { return Ok(()) };
+        let Some(mask) = self.mask_at(frame, middle)? else { return Ok(()) };
+        let held = own.iter().filter(|point| mask.holds(frame, point)).count() as f32 / own.len() as f32;
+        let inside: Vec<&FramePoint> = seen.iter().filter(|point| mask.holds(frame, point)).collect();
+        // Seen by the first frame, and not in its mask.
+        let strange = inside
+            .iter()
+            .filter(|point| votes.seen[point.point as usize] > 0 && !of_seed.contains(&point.point))
+            .count();
+        if held >= HELD && strange as f32 <= (1.0 - HELD) * inside.len() as f32 {
+            votes.count(&seen, |point| mask.holds(frame, point));
+        }
+        Ok(())
+    }
+
+    /// The largest piece of these points that has some of the seed.
+    fn hanging_together(&self, points: &[u32], seed: &[u32]) -> Vec<u32> {
+        let spacing = typical_spacing_m(&self.cloud.positions);
+        let edge_m = (GAP_SPACINGS * spacing).max(LEAST_GAP_M);
+        let key = |point: u32| VoxelKey::of(&self.cloud.positions[point as usize], edge_m);
+        let mut voxels: VoxelMap<Vec<u32>> = VoxelMap::default();
+        points.iter().for_each(|&point| voxels.entry(key(point)).or_default().push(point));
+        let mut starts: Vec<VoxelKey> = seed.iter().map(|&point| key(point)).collect();
+        starts.sort_unstable();
+        starts.dedup();
+        let mut best = Vec::new();
+        for start in starts {
+            let (mut piece, mut open) = (voxels.remove(&start).unwrap_or_default(), vec![start]);
+            while let Some(at) = open.pop() {
+                for near in NEIGHBOURS_26.map(|d| at.offset(d)) {
+                    if let Some(more) = voxels.remove(&near) {
+                        piece.extend(more);
+                        open.push(near);
+                    }
+                }
+            }
+            if piece.len() > best.len() {
+                best = piece;
+            }
+        }
+        best.sort_unstable();
+        best
+    }
+
+    /// The frames that show most of these points.
+    fn views_of(&self, points: &[u32]) -> Result<Vec<View>, ParseError> {
+        let of_thing = Subset::of(self.cloud, points);
+        let frames: Vec<FrameRef> = self.frames.iter().filter(|frame| of_thing.may_be_in(frame)).cloned().collect();
+        let mut views = Vec::new();
+        stream_frames(
+            &frames,
+            |frame| {
+                let camera = frame.colour_camera();
+                let seen = of_thing.visible_in(frame, self.settings.depth_tolerance)?;
+                let pixels: Vec<(f32, f32)> =
+                    seen.iter().filter_map(|p| camera.project(&p.position).map(|pixel| (pixel.u, pixel.v))).collect();
+                Ok::<_, ParseError>(view(frame, &pixels))
+            },
+            |_, view| {
+                views.extend(view);
+                Ok(())
+            },
+        )?;
+        views.sort_by_key(|view: &View| (std::cmp::Reverse(view.visible_points), view.frame));
+        views.truncate(VIEWS);
+        Ok(views)
+    }
+}
+
+/// What was cut out of a frame.
+enum Mask {
+    /// One of the built-in masks, on the depth image.
+    Cut { ids: IdImage, id: u16 },
+    /// A segmenter's, over the colour picture.
+    Decoded { mask: LowMask, scale: (f32, f32), threshold: f32 },
+}
+
+impl Mask {
+    fn holds(&self, frame: &Frame, point: &FramePoint) -> bool {
+        match self {
+            Self::Cut { ids, id } => ids.at(point.cell) == *id,
+            Self::Decoded { mask, scale, threshold } => colour_pixel(frame, point).is_some_and(|at| mask.at(at, *scale) > *threshold),
+        }
+    }
+}
+
+/// By point of the cloud: frames that show it, and frames that have it in their masks.
+struct Votes {
+    seen: Vec<u8>,
+    inside: Vec<u8>,
+}
+
+impl Votes {
+    fn count(&mut self, seen: &[FramePoint], holds: impl Fn(&FramePoint) -> bool) {
+        for point in seen {
+            self.seen[point.point as usize] += 1;
+            self.inside[point.point as usize] += u8::from(holds(point));
+        }
+    }
+
+    /// Points most of the frames that see them have in their masks.
+    fn carried(&self) -> Vec<u32> {
+        let carried = |point: &u32| {
+            let (seen, inside) = (self.seen[*point as usize], self.inside[*point as usize]);
+            inside > 0 && f32::from(inside) >= VOTES * f32::from(seen)
+        };
+        (0..self.seen.len() as u32).filter(carried).collect()
+    }
+}
+
+/// Some points of a cloud, ready to be looked up in frames.
+struct Subset {
+    points: PointCloud,
+    middle: Point3<f32>,
+    radius_m: f32,
+}
+
+impl Subset {
+    fn of(cloud: &PointCloud, points: &[u32]) -> Self {
+        let positions: Vec<Point3<f32>> = points.iter().map(|&point| cloud.positions[point as usize]).collect();
+        let middle = Point3::from(positions.iter().map(|p| p.coords).sum::<Vector3<f32>>() / positions.len().max(1) as f32);
+        let radius_m = positions.iter().map(|p| (p - middle).norm()).fold(0.0, f32::max);
+        Self { points: PointCloud { colours: vec![[0; 3]; positions.len()], positions }, middle, radius_m }
+    }
+
+    fn may_be_in(&self, frame: &FrameRef) -> bool {
+        frame.depth_camera().may_show(&self.middle, self.radius_m)
+    }
+
+    fn visible_in(&self, frame: &FrameRef, depth_tolerance: f32) -> Result<Vec<FramePoint>, ParseError> {
+        let depth = frame.decode_depth()?;
+        Ok(Visibility::new(&self.points, &vec![0; self.points.len()], depth_tolerance).in_frame(&frame.depth_camera(), &depth))
+    }
+}
+
+/// Where a point of the cloud is in a frame's colour picture; `None` outside.
+fn colour_pixel(frame: &Frame, point: &FramePoint) -> Option<(f32, f32)> {
+    frame.colour_camera.project(&point.position).map(|pixel| (pixel.u, pixel.v))
+}
+
+/// The mask at a place of the colour picture, or the nearest one to it.
+fn nearest_mask(ids: &IdImage, frame: &Frame, (x, y): (f32, f32)) -> Option<u16> {
+    let (depth, colour) = (&frame.depth_camera.intrinsics, &frame.colour_camera.intrinsics);
+    let column = ((x - colour.cx) / colour.fx * depth.fx + depth.cx).round() as i32;
+    let row = ((y - colour.cy) / colour.fy * depth.fy + depth.cy).round() as i32;
+    let around = |reach: i32| (-reach..=reach).flat_map(move |dy| (-reach..=reach).map(move |dx| (dx, dy)));
+    let mut near: Vec<(i32, i32)> = around(AROUND_PX).collect();
+    near.sort_by_key(|(dx, dy)| dx * dx + dy * dy);
+    let id = |(dx, dy): (i32, i32)| {
+        let (u, v) = (u32::try_from(column + dx).ok()?, u32::try_from(row + dy).ok()?);
+        (u < ids.width && v < ids.height).then(|| ids.at((u, v))).filter(|id| *id != 0)
+    };
+    near.into_iter().find_map(id)
+}
+
+/// Of some positions the one nearest to the middle of all.
+fn medoid(pixels: &[(f32, f32)]) -> Option<(f32, f32)> {
+    let count = pixels.len() as f32;
+    let middle = pixels.iter().fold((0.0, 0.0), |(x, y), p| (x + p.0 / count, y + p.1 / count));
+    let distance = |p: &&(f32, f32)| (p.0 - middle.0).hypot(p.1 - middle.1);
+    pixels.iter().min_by(|a, b| distance(a).total_cmp(&distance(b))).copied()
+}
+
+/// A frame's view of what covers these pixels of its colour picture.
+fn view(frame: &FrameRef, pixels: &[(f32, f32)]) -> Option<View> {
+    let span = |of: fn(&(f32, f32)) -> f32, length: u32| {
+        let low = pixels.iter().map(of).fold(f32::INFINITY, f32::min);
+        let high = pixels.iter().map(of).fold(f32::NEG_INFINITY, f32::max);
+        let low = low.floor().clamp(0.0, length as f32 - 1.0) as u32;
+        (low, (high.ceil() as u32).clamp(low + 1, length))
+    };
+    if pixels.len() < LEAST_POINTS / 2 {
+        return None;
+    }
+    let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
+    let ((left, right), (top, bottom)) = (span(|p| p.0, width), span(|p| p.1, height));
+    let box_px = [left, top, right, bottom];
+    let mask = Outline::of_points(pixels, box_px).mask.packed();
+    Some(View { frame: frame.index, visible_points: pixels.len() as u32, box_px, mask: Some(mask) })
+}
