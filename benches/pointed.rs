@@ -59,7 +59,7 @@ fn main() {
             let start = Instant::now();
             let find = |segmenter: Option<&Segmenter>| {
                 let pointing = Pointing { cloud: &parsed.cloud, frames: &room.bundle.frames, segmenter, settings: &settings };
-                pointing.find(place, &parsed.instances).unwrap()
+                pointing.find(place, &parsed.instances, &[]).unwrap()
             };
             let iou = |found: &Option<Instance>| found.as_ref().map_or(0.0, |found| found.aabb.iou(&object.aabb));
             let ours = find(None);

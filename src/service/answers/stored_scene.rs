@@ -109,7 +109,7 @@ impl SceneSource for StoredScene {
         self.service.keep_names(&self.parse.id, names).await
     }
 
-    fn cut_out(&self, place: Place) -> Result<Option<Instance>, Error> {
+    fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, Error> {
         let Some(frames) = read_frames(&self.folder(), &self.parse.content)? else { return Ok(None) };
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
         // As the parse was made: the same masks, or the built-in ones.
@@ -119,7 +119,7 @@ impl SceneSource for StoredScene {
             .first()
             .filter(|_| models.label(Role::Masks).as_deref() == Some(&*self.parse.masks));
         let pointing = Pointing { cloud: &render_scene.cloud, frames: &frames, segmenter: segmenter.map(|s| &**s), settings: &settings };
-        match pointing.find(place, &self.parse.instances) {
+        match pointing.find(place, &self.parse.instances, is_not) {
             Ok(found) => Ok(found),
             // The scan's own pictures are not needed for an answer.
             Err(ParseError::Frame(error)) => {

@@ -127,11 +127,11 @@ impl SceneSource for AlbumScene {
         Ok(())
     }
 
-    fn cut_out(&self, place: Place) -> Result<Option<Instance>, QuestionError> {
+    fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, QuestionError> {
         let Album { render_scene, frames, segmenter, .. } = &*self.album;
         let settings = ParsingSettings::default();
         let pointing = Pointing { cloud: &render_scene.cloud, frames, segmenter: segmenter.as_deref(), settings: &settings };
-        Ok(pointing.find(place, &self.instances)?)
+        Ok(pointing.find(place, &self.instances, is_not)?)
     }
 
     /// For this question only: what one question finds does not change what another is answered in an evaluation.

@@ -54,11 +54,11 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
     /// Keeps such names; those given before stay.
     fn keep_names(&self, names: &BTreeMap<u32, String>) -> impl Future<Output = Result<(), Self::Error>> + Send;
 
-    /// What lies at a place of a photograph, cut out as the next of the instances; `None` where nothing can be.
+    /// What lies at a place of a photograph, cut out as the next of the instances, and is none of these; `None` where nothing can be.
     ///
     /// # Errors
     /// A photograph can not be read, or a segmenter fails.
-    fn cut_out(&self, place: Place) -> Result<Option<Instance>, Self::Error>;
+    fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, Self::Error>;
 
     /// Keeps an instance that was found for a question: the scene with it, in which it is the last, or the one that was kept for the same
     /// thing meanwhile; and its id.

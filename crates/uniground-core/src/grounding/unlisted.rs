@@ -26,9 +26,10 @@ pub(super) fn look_up<S: SceneSource>(
     settings: &PictureSettings,
 ) -> Result<Option<Found>, S::Error> {
     let Some(place) = evidence.place(source, seen, settings)? else { return Ok(None) };
-    let Some(found) = source.cut_out(place)? else { return Ok(None) };
+    // What was listed is not meant, as the model says.
+    let listed: Vec<InstanceId> = context.shown().collect();
+    let Some(found) = source.cut_out(place, &listed)? else { return Ok(None) };
     if let Some(known) = known_as(source.instances(), &found) {
-        // What was listed is not meant, as the model says, and walls are not asked for.
         let may_be = known.structure.is_none() && !context.is_candidate(known.id.0);
         return Ok(may_be.then_some(Found::Known(known.id)));
     }

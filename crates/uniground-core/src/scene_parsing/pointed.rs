@@ -1,18 +1,19 @@
 //! What somebody points at in a photograph, as an instance: for things that stage 1 has not cut out by themselves.
 //!
-//! The place becomes a mask, cut by a promptable segmenter or by the built-in masks. The mask takes the points of the cloud that its frame
-//! shows under it. Frames that see most of these are asked about the same thing at their middle; points they show vote, and what hangs
-//! together around the place is the thing.
+//! The place may mean several masks: those of a promptable segmenter, or the built-in ones from whole things down to even patches. Each takes the
+//! points of the cloud that its frame shows under it. Frames that see these are asked at their middle, and the mask on which they agree best is
+//! meant. Then points vote, and what hangs together around the place is the thing.
 
 use super::masks::IdImage;
 use super::masks::rgbd::RgbdMasks;
 use super::outline::Outline;
 use super::visibility::{FramePoint, Visibility};
 use super::{ParseError, instances};
+use crate::geometry::boxes::Aabb;
 use crate::geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap, typical_spacing_m};
 use crate::geometry::{Point3, Vector3};
-use crate::models::neural::{LowMask, Prompt, Segmenter};
-use crate::scene::{Frame, FrameIndex, FrameRef, Instance, PointCloud, View, stream_frames};
+use crate::models::neural::{Encoded, LowMask, Prompt, Segmenter};
+use crate::scene::{Frame, FrameIndex, FrameRef, Instance, InstanceId, PointCloud, View, stream_frames};
 use std::collections::HashSet;
 use uniground_types::settings::ParsingSettings;
 
@@ -41,8 +42,12 @@ pub struct Place {
 const LEAST_POINTS: usize = 20;
 /// Further frames that are asked.
 const MORE_FRAMES: usize = 4;
-/// Share of what a further frame sees of the thing that its mask must hold, and share of the mask that may not be known to be something else.
-const HELD: f32 = 0.6;
+/// A frame votes whose best mask has this IoU with what it sees of the thing.
+const AGREES: f32 = 0.5;
+/// What a mask counts for that no further frame sees.
+const ALONE: f32 = 0.3;
+/// Built-in patches may also be so many times as uneven as those that things are made of.
+const UNEVEN: [f32; 3] = [1.0, 4.0, 16.0];
 /// Of the frames that see a point so many must have it in their masks.
 const VOTES: f32 = 0.5;
 /// Points hang together within so many times their typical spacing, at least [`LEAST_GAP_M`].
@@ -64,26 +69,43 @@ pub fn known_as<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a Insta
 }
 
 impl Pointing<'_> {
-    /// The thing at a place, as the next of the instances that are known. `None` where nothing can be cut out there.
+    /// The thing at a place, as the next of the instances that are known; not one of those it is known not to be, and no part of the building.
+    /// `None` where nothing else can be cut out there.
     ///
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or a segmenter that fails.
-    pub fn find(&self, place: Place, known: &[Instance]) -> Result<Option<Instance>, ParseError> {
+    pub fn find(&self, place: Place, known: &[Instance], is_not: &[InstanceId]) -> Result<Option<Instance>, ParseError> {
         let Some(first) = self.frames.iter().find(|frame| frame.index == place.frame) else { return Ok(None) };
         let visibility = Visibility::new(self.cloud, &vec![0; self.cloud.len()], self.settings.depth_tolerance);
-        let mut votes = Votes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
-        let frame = first.decode()?;
-        let Some(mask) = self.mask_at(&frame, place.at)? else { return Ok(None) };
-        let seen = visibility.in_frame(&frame.depth_camera, &frame.depth);
-        let seed: Vec<u32> = seen.iter().filter(|point| mask.holds(&frame, point)).map(|point| point.point).collect();
-        if seed.len() < LEAST_POINTS {
-            return Ok(None);
+        let first = self.look(first, &visibility)?;
+        let mut options = Vec::new();
+        for (mask, quality) in self.masks_at(&first, place.at)? {
+            let seed = first.under(&mask);
+            if seed.len() < LEAST_POINTS {
+                continue;
+            }
+            let quick = instances::of_points(self.cloud, &seed, known, &self.settings.instances);
+            let is_other = |i: &Instance| i.structure.is_some() || is_not.contains(&i.id);
+            if !known_as(known, &quick).is_some_and(is_other) {
+                options.push(Meant { mask, quality, seed });
+            }
         }
-        votes.count(&seen, |point| mask.holds(&frame, point));
-        for frame in self.further(&seed, place.frame)? {
-            self.ask(&frame, &visibility, &seed, &mut votes)?;
+        let Some(least) = options.iter().map(|option| &option.seed).min_by_key(|seed| seed.len()) else { return Ok(None) };
+        let further = self.further(least, place.frame, &visibility)?;
+        let mut best: Option<(f32, Votes, &Meant)> = None;
+        for option in &options {
+            let mut votes = Votes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
+            votes.count(&first, &option.mask);
+            let worth = option.quality * self.agreement(&option.seed, &further, &mut votes)?;
+            if best.as_ref().is_none_or(|(so_far, ..)| worth > *so_far) {
+                best = Some((worth, votes, option));
+            }
         }
-        let points = self.hanging_together(&votes.carried(), &seed);
+        let Some((_, votes, option)) = best else { return Ok(None) };
+        let reach = self.reach(&option.seed);
+        let mut carried = votes.carried();
+        carried.retain(|point| holds(&reach, &self.cloud.positions[*point as usize]));
+        let points = self.hanging_together(&carried, &option.seed);
         if points.len() < LEAST_POINTS {
             return Ok(None);
         }
@@ -91,21 +113,39 @@ impl Pointing<'_> {
         Ok(Some(Instance { views, ..instances::of_points(self.cloud, &points, known, &self.settings.instances) }))
     }
 
-    /// What lies at a place of a frame's colour picture, among everything the frame's pictures show.
-    fn mask_at(&self, frame: &Frame, at: (f32, f32)) -> Result<Option<Mask>, ParseError> {
-        let Some(segmenter) = self.segmenter else {
-            let ids = RgbdMasks { settings: self.settings.rgbd_masks }.id_image(frame);
-            return Ok(nearest_mask(&ids, frame, at).map(|id| Mask::Cut { ids, id }));
+    fn look(&self, frame: &FrameRef, visibility: &Visibility) -> Result<Looked, ParseError> {
+        let frame = frame.decode()?;
+        let seen = visibility.in_frame(&frame.depth_camera, &frame.depth);
+        let cut = match self.segmenter {
+            Some(segmenter) => Cut::Encoded(segmenter.encode(&frame.colour)?),
+            None => Cut::Images(RgbdMasks { settings: self.settings.rgbd_masks }.levels(&frame, &UNEVEN)),
         };
-        let encoded = segmenter.encode(&frame.colour)?;
-        let masks = segmenter.decode(&encoded, &[Prompt::inside([at])])?.into_iter().flatten();
-        let best = masks.max_by(|a, b| a.predicted_iou.total_cmp(&b.predicted_iou));
-        let (scale, threshold) = (segmenter.low_scale(&encoded), segmenter.threshold());
-        Ok(best.map(|mask| Mask::Decoded { mask, scale, threshold }))
+        Ok(Looked { frame, seen, cut })
+    }
+
+    /// The masks that a place of a frame's colour picture may mean, each with what its maker thinks of it, `0..=1`.
+    fn masks_at(&self, looked: &Looked, at: (f32, f32)) -> Result<Vec<(Mask, f32)>, ParseError> {
+        match (&looked.cut, self.segmenter) {
+            (Cut::Encoded(encoded), Some(segmenter)) => {
+                let (scale, threshold) = (segmenter.low_scale(encoded), segmenter.threshold());
+                let masks = segmenter.decode(encoded, &[Prompt::inside([at])])?.into_iter().flatten();
+                Ok(masks
+                    .map(|mask| (mask.predicted_iou.clamp(0.0, 1.0), mask))
+                    .map(|(q, mask)| (Mask::Decoded { mask, scale, threshold }, q))
+                    .collect())
+            }
+            (Cut::Images(images), _) => {
+                let masks = images
+                    .iter()
+                    .filter_map(|ids| Some(Mask::Cut { ids: ids.clone(), id: nearest_mask(ids, &looked.frame, at)? }));
+                Ok(masks.map(|mask| (mask, 1.0)).collect())
+            }
+            (Cut::Encoded(_), None) => Ok(Vec::new()),
+        }
     }
 
     /// The frames that see most of these points, but for the one they were found in, best first.
-    fn further(&self, seed: &[u32], but: FrameIndex) -> Result<Vec<Frame>, ParseError> {
+    fn further(&self, seed: &[u32], but: FrameIndex, visibility: &Visibility) -> Result<Vec<Looked>, ParseError> {
         let of_seed = Subset::of(self.cloud, seed);
         let others: Vec<FrameRef> = self.frames.iter().filter(|frame| frame.index != but && of_seed.may_be_in(frame)).cloned().collect();
         let mut seeing = Vec::new();
@@ -120,29 +160,49 @@ impl Pointing<'_> {
         seeing.sort_by_key(|&(visible, index)| (std::cmp::Reverse(visible), index));
         let enough = (seed.len() / 4).max(LEAST_POINTS / 2);
         let best = seeing.into_iter().filter(|(visible, _)| *visible >= enough).take(MORE_FRAMES);
-        best.map(|(_, index)| Ok(others[others.partition_point(|frame| frame.index < index)].decode()?))
+        best.map(|(_, index)| self.look(&others[others.partition_point(|frame| frame.index < index)], visibility))
             .collect()
     }
 
-    /// Has a further frame vote, if its mask at the middle of the seed is of the same thing.
-    fn ask(&self, frame: &Frame, visibility: &Visibility, seed: &[u32], votes: &mut Votes) -> Result<(), ParseError> {
-        let seen = visibility.in_frame(&frame.depth_camera, &frame.depth);
+    /// Where the rest of a thing may be of which a frame sees these points: as far again as half its largest side.
+    fn reach(&self, seed: &[u32]) -> Aabb {
+        let around = Aabb::around(seed.iter().map(|&point| &self.cloud.positions[point as usize]));
+        let around = around.unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
+        Aabb { size: around.size.add_scalar(around.size.max()), ..around }
+    }
+
+    /// Mean IoU of the best masks that further frames have at the middle of a seed with what they see of it; those that agree vote.
+    fn agreement(&self, seed: &[u32], further: &[Looked], votes: &mut Votes) -> Result<f32, ParseError> {
         let of_seed: HashSet<u32> = seed.iter().copied().collect();
-        let own: Vec<&FramePoint> = seen.iter().filter(|point| of_seed.contains(&point.point)).collect();
-        let pixels: Vec<(f32, f32)> = own.iter().filter_map(|point| colour_pixel(frame, point)).collect();
-        let Some(middle) = medoid(&pixels) else { return Ok(()) };
-        let Some(mask) = self.mask_at(frame, middle)? else { return Ok(()) };
-        let held = own.iter().filter(|point| mask.holds(frame, point)).count() as f32 / own.len() as f32;
-        let inside: Vec<&FramePoint> = seen.iter().filter(|point| mask.holds(frame, point)).collect();
-        // Seen by the first frame, and not in its mask.
-        let strange = inside
-            .iter()
-            .filter(|point| votes.seen[point.point as usize] > 0 && !of_seed.contains(&point.point))
-            .count();
-        if held >= HELD && strange as f32 <= (1.0 - HELD) * inside.len() as f32 {
-            votes.count(&seen, |point| mask.holds(frame, point));
+        // What the first frame sees outside of its mask is something else, and so is what lies far from that.
+        let first_seen = votes.seen.clone();
+        let reach = self.reach(seed);
+        let is_other = |point: &FramePoint| {
+            let seen_apart = first_seen[point.point as usize] > 0 && !of_seed.contains(&point.point);
+            seen_apart || !holds(&reach, &point.position)
+        };
+        let (mut sum, mut count) = (0.0, 0_u32);
+        for looked in further {
+            let own: Vec<&FramePoint> = looked.seen.iter().filter(|point| of_seed.contains(&point.point)).collect();
+            let pixels: Vec<(f32, f32)> = own.iter().filter_map(|point| colour_pixel(&looked.frame, point)).collect();
+            let Some(middle) = medoid(&pixels) else { continue };
+            let mut best: Option<(f32, Mask)> = None;
+            for (mask, _) in self.masks_at(looked, middle)? {
+                let held = own.iter().filter(|point| mask.holds(&looked.frame, point)).count();
+                let wrong = looked.seen.iter().filter(|point| is_other(point) && mask.holds(&looked.frame, point)).count();
+                let iou = held as f32 / (own.len() + wrong).max(1) as f32;
+                if best.as_ref().is_none_or(|(so_far, _)| iou > *so_far) {
+                    best = Some((iou, mask));
+                }
+            }
+            let Some((iou, mask)) = best else { continue };
+            sum += iou;
+            count += 1;
+            if iou >= AGREES {
+                votes.count(looked, &mask);
+            }
         }
-        Ok(())
+        Ok(if count == 0 { ALONE } else { sum / count as f32 })
     }
 
     /// The largest piece of these points that has some of the seed.
@@ -199,6 +259,35 @@ impl Pointing<'_> {
     }
 }
 
+/// A frame, what it shows of the cloud, and what masks are made from.
+struct Looked {
+    frame: Frame,
+    seen: Vec<FramePoint>,
+    cut: Cut,
+}
+
+enum Cut {
+    /// For a segmenter's decoder.
+    Encoded(Encoded),
+    /// Built-in masks, coarse to fine.
+    Images(Vec<IdImage>),
+}
+
+impl Looked {
+    /// The points of the cloud under a mask.
+    fn under(&self, mask: &Mask) -> Vec<u32> {
+        self.seen.iter().filter(|point| mask.holds(&self.frame, point)).map(|point| point.point).collect()
+    }
+}
+
+/// What a place may mean.
+struct Meant {
+    mask: Mask,
+    quality: f32,
+    /// The points under the mask.
+    seed: Vec<u32>,
+}
+
 /// What was cut out of a frame.
 enum Mask {
     /// One of the built-in masks, on the depth image.
@@ -223,10 +312,10 @@ struct Votes {
 }
 
 impl Votes {
-    fn count(&mut self, seen: &[FramePoint], holds: impl Fn(&FramePoint) -> bool) {
-        for point in seen {
+    fn count(&mut self, looked: &Looked, mask: &Mask) {
+        for point in &looked.seen {
             self.seen[point.point as usize] += 1;
-            self.inside[point.point as usize] += u8::from(holds(point));
+            self.inside[point.point as usize] += u8::from(mask.holds(&looked.frame, point));
         }
     }
 
@@ -263,6 +352,11 @@ impl Subset {
         let depth = frame.decode_depth()?;
         Ok(Visibility::new(&self.points, &vec![0; self.points.len()], depth_tolerance).in_frame(&frame.depth_camera(), &depth))
     }
+}
+
+fn holds(aabb: &Aabb, point: &Point3<f32>) -> bool {
+    let away = (point - aabb.center).abs();
+    (0..3).all(|axis| away[axis] <= aabb.size[axis] / 2.0)
 }
 
 /// Where a point of the cloud is in a frame's colour picture; `None` outside.
