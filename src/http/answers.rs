@@ -51,7 +51,7 @@ pub struct ListParameters {
 
 /// Lists answers that were kept, newest first: a page, or with `format` all of them, streamed.
 #[utoipa::path(
-    get, path = "/v1/answers", tag = "grounding", params(ListParameters),
+    get, path = "/v1/answers", operation_id = "list_answers", tag = "grounding", params(ListParameters),
     responses(
         (status = 200, content((AnswerList = "application/json"), (Answer = "application/jsonl"), (String = "text/csv"))),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -91,7 +91,7 @@ fn time(parameter: &str, text: Option<String>) -> Result<Option<Timestamp>, Erro
 
 /// An answer as it was given, whole.
 #[utoipa::path(
-    get, path = "/v1/answers/{answer_id}", tag = "grounding", params(("answer_id" = String, Path)),
+    get, path = "/v1/answers/{answer_id}", operation_id = "get_answer", tag = "grounding", params(("answer_id" = String, Path)),
     responses(
         (status = 200, body = Answer),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -109,7 +109,7 @@ pub async fn get(State(app): State<App>, Path(answer_id): Path<String>) -> Resul
 /// The room itself is always there: where no model was shown one, it is drawn from above with the answer's box (green), its anchor (red)
 /// and the other candidates (blue).
 #[utoipa::path(
-    get, path = "/v1/answers/{answer_id}/evidence/{picture}", tag = "grounding",
+    get, path = "/v1/answers/{answer_id}/evidence/{picture}", operation_id = "get_answer_picture", tag = "grounding",
     params(("answer_id" = String, Path), ("picture" = String, Path, description = "`global.jpg`, or as the answer's `evidence` names it")),
     responses(
         (status = 200, body = Binary, content_type = "image/jpeg"),
@@ -125,7 +125,7 @@ pub async fn picture(State(app): State<App>, Path((answer_id, picture)): Path<(S
 
 /// What the model was asked for an answer: every message, in order. Kept for as long as the server's operator wants.
 #[utoipa::path(
-    get, path = "/v1/answers/{answer_id}/prompt", tag = "grounding", params(("answer_id" = String, Path)),
+    get, path = "/v1/answers/{answer_id}/prompt", operation_id = "get_answer_prompt", tag = "grounding", params(("answer_id" = String, Path)),
     responses(
         (status = 200, body = AnswerPrompt),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -140,7 +140,7 @@ pub async fn prompt(State(app): State<App>, Path(answer_id): Path<String>) -> Re
 
 /// What the model said, word by word.
 #[utoipa::path(
-    get, path = "/v1/answers/{answer_id}/reply", tag = "grounding", params(("answer_id" = String, Path)),
+    get, path = "/v1/answers/{answer_id}/reply", operation_id = "get_answer_reply", tag = "grounding", params(("answer_id" = String, Path)),
     responses(
         (status = 200, body = AnswerReply),
         (status = 401, body = Problem, content_type = "application/problem+json"),

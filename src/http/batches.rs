@@ -40,7 +40,7 @@ pub struct CreateParameters {
 /// for all. What is wrong with one question is that item's failure; a line that is no JSON object refuses the whole. Nothing is ever asked
 /// twice: not after a restart, not when the same list is sent again under its `Idempotency-Key`.
 #[utoipa::path(
-    post, path = "/v1/batches", tag = "batches",
+    post, path = "/v1/batches", operation_id = "create_batch", tag = "batches",
     params(CreateParameters, ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the batch it made")),
     request_body(content((BatchRequest = "application/json"), (String = "application/jsonl"))),
     responses(
@@ -100,7 +100,7 @@ pub async fn create(
 
 /// Lists batches, newest first.
 #[utoipa::path(
-    get, path = "/v1/batches", tag = "batches", params(Page),
+    get, path = "/v1/batches", operation_id = "list_batches", tag = "batches", params(Page),
     responses(
         (status = 200, body = BatchList),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -116,7 +116,7 @@ pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<ax
 
 /// A batch as it stands: how far it is, what it cost, how long it will take.
 #[utoipa::path(
-    get, path = "/v1/batches/{batch_id}", tag = "batches", params(("batch_id" = String, Path)),
+    get, path = "/v1/batches/{batch_id}", operation_id = "get_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(
         (status = 200, body = Batch),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -148,7 +148,7 @@ pub struct ResultParameters {
 
 /// Results in the order of the items, a line each, as far as they are there.
 #[utoipa::path(
-    get, path = "/v1/batches/{batch_id}/results", tag = "batches", params(("batch_id" = String, Path), ResultParameters),
+    get, path = "/v1/batches/{batch_id}/results", operation_id = "get_batch_results", tag = "batches", params(("batch_id" = String, Path), ResultParameters),
     responses(
         (status = 200, content((BatchResult = "application/jsonl"), (String = "text/csv"))),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -180,7 +180,7 @@ pub(super) fn media_type_of(format: LineFormat) -> &'static str {
 
 /// Stops asking until somebody resumes it. Questions under way are answered.
 #[utoipa::path(
-    post, path = "/v1/batches/{batch_id}/pause", tag = "batches", params(("batch_id" = String, Path)),
+    post, path = "/v1/batches/{batch_id}/pause", operation_id = "pause_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(
         (status = 200, body = Batch),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -197,7 +197,7 @@ pub async fn pause(State(app): State<App>, Path(batch_id): Path<String>) -> Resu
 
 /// Goes on with a batch that is paused.
 #[utoipa::path(
-    post, path = "/v1/batches/{batch_id}/resume", tag = "batches", params(("batch_id" = String, Path)),
+    post, path = "/v1/batches/{batch_id}/resume", operation_id = "resume_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(
         (status = 200, body = Batch),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -214,7 +214,7 @@ pub async fn resume(State(app): State<App>, Path(batch_id): Path<String>) -> Res
 
 /// Stops asking for good. What is answered stays.
 #[utoipa::path(
-    post, path = "/v1/batches/{batch_id}/cancel", tag = "batches", params(("batch_id" = String, Path)),
+    post, path = "/v1/batches/{batch_id}/cancel", operation_id = "cancel_batch", tag = "batches", params(("batch_id" = String, Path)),
     responses(
         (status = 200, body = Batch),
         (status = 401, body = Problem, content_type = "application/problem+json"),

@@ -13,7 +13,7 @@ use uniground_types::question::{GroundRequest, ShortlistRequest};
 ///
 /// `no_match` and `ambiguous` are answers, not errors: `box` is `null` and, for `ambiguous`, `alternatives` lists the tied objects.
 #[utoipa::path(
-    post, path = "/v1/scenes/{scene_id}/ground", tag = "grounding", params(("scene_id" = String, Path)), request_body = GroundRequest,
+    post, path = "/v1/scenes/{scene_id}/ground", operation_id = "ground", tag = "grounding", params(("scene_id" = String, Path)), request_body = GroundRequest,
     responses(
         (status = 200, body = Answer),
         (status = 400, body = Problem, content_type = "application/problem+json"),
@@ -44,7 +44,7 @@ pub async fn ground(
 ///
 /// By appearance where an encoder has seen the scene, by names and attributes otherwise.
 #[utoipa::path(
-    post, path = "/v1/scenes/{scene_id}/shortlist", tag = "grounding", params(("scene_id" = String, Path)), request_body = ShortlistRequest,
+    post, path = "/v1/scenes/{scene_id}/shortlist", operation_id = "shortlist", tag = "grounding", params(("scene_id" = String, Path)), request_body = ShortlistRequest,
     responses(
         (status = 200, body = Shortlisted),
         (status = 400, body = Problem, content_type = "application/problem+json"),

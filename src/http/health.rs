@@ -12,7 +12,7 @@ use uniground_types::service::{Health as Alive, ModelList, Readiness};
 
 /// The models this server was started with; none when all parts are built in.
 #[utoipa::path(
-    get, path = "/v1/models", tag = "service",
+    get, path = "/v1/models", operation_id = "list_models", tag = "service",
     responses((status = 200, body = ModelList), (status = 401, body = Problem, content_type = "application/problem+json"), (status = 429, body = Problem, content_type = "application/problem+json")),
     security(("key" = ["read"]), ())
 )]
@@ -21,7 +21,7 @@ pub async fn models(State(app): State<App>) -> Json<ModelList> {
 }
 
 /// Whether the process is alive.
-#[utoipa::path(get, path = "/healthz", tag = "service", responses((status = 200, body = Alive)))]
+#[utoipa::path(get, path = "/healthz", operation_id = "healthz", tag = "service", responses((status = 200, body = Alive)))]
 pub async fn healthz() -> Json<Alive> {
     Json(Alive { status: "ok".into(), version: env!("CARGO_PKG_VERSION").into() })
 }
@@ -29,7 +29,7 @@ pub async fn healthz() -> Json<Alive> {
 /// Whether the service can do its work.
 ///
 /// A vision-language model that does not answer is told in `vlm` and does not count: built-in parts answer meanwhile.
-#[utoipa::path(get, path = "/readyz", tag = "service", responses((status = 200, body = Readiness), (status = 503, body = Readiness)))]
+#[utoipa::path(get, path = "/readyz", operation_id = "readyz", tag = "service", responses((status = 200, body = Readiness), (status = 503, body = Readiness)))]
 pub async fn readyz(State(app): State<App>) -> Response {
     let health = app.service.health().await;
     let ready = health.is_ready();

@@ -39,7 +39,7 @@ fn default_limit() -> u32 {
 
 /// The instances of a scene's current parse, in order of id: the largest first, then parts and wholes where these are asked for.
 #[utoipa::path(
-    get, path = "/v1/scenes/{scene_id}/instances", tag = "instances", params(("scene_id" = String, Path), ListParameters),
+    get, path = "/v1/scenes/{scene_id}/instances", operation_id = "list_instances", tag = "instances", params(("scene_id" = String, Path), ListParameters),
     responses(
         (status = 200, body = InstanceList),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -63,7 +63,7 @@ pub async fn list(
 
 /// One instance.
 #[utoipa::path(
-    get, path = "/v1/scenes/{scene_id}/instances/{instance_id}", tag = "instances",
+    get, path = "/v1/scenes/{scene_id}/instances/{instance_id}", operation_id = "get_instance", tag = "instances",
     params(("scene_id" = String, Path), ("instance_id" = u32, Path)),
     responses(
         (status = 200, body = InstanceView),
@@ -90,7 +90,7 @@ pub struct ViewParameters {
 
 /// A picture that shows the instance: the best view is `0.jpg`.
 #[utoipa::path(
-    get, path = "/v1/scenes/{scene_id}/instances/{instance_id}/views/{view}", tag = "instances",
+    get, path = "/v1/scenes/{scene_id}/instances/{instance_id}/views/{view}", operation_id = "get_instance_view", tag = "instances",
     params(("scene_id" = String, Path), ("instance_id" = u32, Path), ("view" = String, Path, description = "`{k}.jpg`, k from 0"), ViewParameters),
     responses(
         (status = 200, body = Binary, content_type = "image/jpeg"),

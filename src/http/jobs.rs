@@ -54,7 +54,7 @@ pub struct ListParameters {
 
 /// Lists jobs, newest first.
 #[utoipa::path(
-    get, path = "/v1/jobs", tag = "jobs", params(ListParameters),
+    get, path = "/v1/jobs", operation_id = "list_jobs", tag = "jobs", params(ListParameters),
     responses(
         (status = 200, body = JobList),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -72,7 +72,7 @@ pub async fn list(State(app): State<App>, Query(parameters): Query<ListParameter
 
 /// A job as it stands.
 #[utoipa::path(
-    get, path = "/v1/jobs/{job_id}", tag = "jobs", params(("job_id" = String, Path)),
+    get, path = "/v1/jobs/{job_id}", operation_id = "get_job", tag = "jobs", params(("job_id" = String, Path)),
     responses(
         (status = 200, body = Job),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -87,7 +87,7 @@ pub async fn get(State(app): State<App>, Path(job_id): Path<String>) -> Result<J
 
 /// Asks a job to stop. A finished job stays as it is.
 #[utoipa::path(
-    delete, path = "/v1/jobs/{job_id}", tag = "jobs", params(("job_id" = String, Path)),
+    delete, path = "/v1/jobs/{job_id}", operation_id = "cancel_job", tag = "jobs", params(("job_id" = String, Path)),
     responses(
         (status = 202, body = Job, description = "Asked to stop; the job as it stands"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -105,7 +105,7 @@ pub async fn cancel(State(app): State<App>, Path(job_id): Path<String>) -> Resul
 ///
 /// `Last-Event-ID` resumes: progress the caller has seen is not sent again; the end is always told.
 #[utoipa::path(
-    get, path = "/v1/jobs/{job_id}/events", tag = "jobs",
+    get, path = "/v1/jobs/{job_id}/events", operation_id = "follow_job", tag = "jobs",
     params(("job_id" = String, Path), ("Last-Event-ID" = Option<String>, Header)),
     responses(
         (status = 200, body = JobEvent, content_type = "text/event-stream"),

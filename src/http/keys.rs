@@ -13,7 +13,7 @@ use uniground_types::problem::Problem;
 ///
 /// From the first key on, everybody needs one.
 #[utoipa::path(
-    post, path = "/v1/keys", tag = "keys", request_body = NewKey,
+    post, path = "/v1/keys", operation_id = "create_key", tag = "keys", request_body = NewKey,
     responses(
         (status = 201, body = CreatedKey),
         (status = 400, body = Problem, content_type = "application/problem+json"),
@@ -37,7 +37,7 @@ pub async fn create(State(app): State<App>, Json(new): Json<NewKey>) -> Result<(
 
 /// Lists keys, newest first, without their secrets.
 #[utoipa::path(
-    get, path = "/v1/keys", tag = "keys", params(Page),
+    get, path = "/v1/keys", operation_id = "list_keys", tag = "keys", params(Page),
     responses(
         (status = 200, body = KeyList),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -54,7 +54,7 @@ pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<ax
 
 /// Revokes a key: it is refused from now on, and its batches pause. What was done with it stays readable.
 #[utoipa::path(
-    delete, path = "/v1/keys/{key_id}", tag = "keys", params(("key_id" = String, Path)),
+    delete, path = "/v1/keys/{key_id}", operation_id = "revoke_key", tag = "keys", params(("key_id" = String, Path)),
     responses(
         (status = 200, body = Key),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -70,7 +70,7 @@ pub async fn revoke(State(app): State<App>, Path(key_id): Path<String>) -> Resul
 
 /// Lists what was done, newest first: every request that was let through to change something, whatever came of it.
 #[utoipa::path(
-    get, path = "/v1/audit", tag = "keys", params(Page),
+    get, path = "/v1/audit", operation_id = "list_audit", tag = "keys", params(Page),
     responses(
         (status = 200, body = AuditList),
         (status = 401, body = Problem, content_type = "application/problem+json"),

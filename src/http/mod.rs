@@ -105,6 +105,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(scenes::cloud))
         .routes(routes!(scenes::instances_cloud))
         .routes(routes!(scenes::embeddings))
+        .routes(routes!(scenes::frames))
         .routes(routes!(reports::get))
         .routes(routes!(reports::picture))
         .routes(routes!(instances::list))

@@ -14,7 +14,7 @@ use uniground_types::scenes::SceneReport;
 
 /// What the current parse did: counts, seconds and memory per stage, warnings, settings, and pictures of every step.
 #[utoipa::path(
-    get, path = "/v1/scenes/{scene_id}/report", tag = "scenes", params(("scene_id" = String, Path)),
+    get, path = "/v1/scenes/{scene_id}/report", operation_id = "get_report", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = SceneReport),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -30,7 +30,7 @@ pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result
 
 /// A picture of the current parse.
 #[utoipa::path(
-    get, path = "/v1/scenes/{scene_id}/report/{picture}", tag = "scenes",
+    get, path = "/v1/scenes/{scene_id}/report/{picture}", operation_id = "get_report_picture", tag = "scenes",
     params(("scene_id" = String, Path), ("picture" = String, Path, description = "`{name}.jpg` as listed in the report")),
     responses(
         (status = 200, body = Binary, content_type = "image/jpeg"),

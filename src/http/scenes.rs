@@ -19,6 +19,7 @@ use tokio_util::io::ReaderStream;
 use uniground_core::ingest::archive::ArchiveKind;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::problem::Problem;
+use uniground_types::scene::FrameList;
 use uniground_types::scenes::{Created, ParseRequest, Rename, Scene, SceneList};
 use uniground_types::settings::{ParsePreset, ParseSettings};
 use utoipa::IntoParams;
@@ -52,7 +53,7 @@ fn yes() -> bool {
 /// The body is the archive itself, streamed. It is checked before anything is stored; parsing then runs as a job.
 /// The same bytes under the same settings are parsed only once.
 #[utoipa::path(
-    post, path = "/v1/scenes", tag = "scenes",
+    post, path = "/v1/scenes", operation_id = "create_scene", tag = "scenes",
     params(CreateParameters, ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the scene it made")),
     request_body(
         content((Binary = "application/zip"), (Binary = "application/x-tar"), (Binary = "application/zstd")),
@@ -95,7 +96,7 @@ pub async fn create(
 
 /// Lists scenes, newest first.
 #[utoipa::path(
-    get, path = "/v1/scenes", tag = "scenes", params(Page),
+    get, path = "/v1/scenes", operation_id = "list_scenes", tag = "scenes", params(Page),
     responses(
         (status = 200, body = SceneList),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -111,7 +112,7 @@ pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<ax
 
 /// One scene.
 #[utoipa::path(
-    get, path = "/v1/scenes/{scene_id}", tag = "scenes", params(("scene_id" = String, Path)),
+    get, path = "/v1/scenes/{scene_id}", operation_id = "get_scene", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Scene),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -126,7 +127,7 @@ pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result
 
 /// Renames a scene.
 #[utoipa::path(
-    patch, path = "/v1/scenes/{scene_id}", tag = "scenes", params(("scene_id" = String, Path)), request_body = Rename,
+    patch, path = "/v1/scenes/{scene_id}", operation_id = "rename_scene", tag = "scenes", params(("scene_id" = String, Path)), request_body = Rename,
     responses(
         (status = 200, body = Scene),
         (status = 400, body = Problem, content_type = "application/problem+json"),
@@ -150,7 +151,7 @@ pub async fn rename(
 
 /// Deletes a scene with its answers.
 #[utoipa::path(
-    delete, path = "/v1/scenes/{scene_id}", tag = "scenes", params(("scene_id" = String, Path)),
+    delete, path = "/v1/scenes/{scene_id}", operation_id = "delete_scene", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 204, description = "Gone"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -167,7 +168,7 @@ pub async fn delete(State(app): State<App>, Path(scene_id): Path<String>) -> Res
 
 /// Parses a scene again, into a new version. Questions use the old one until the new one is ready.
 #[utoipa::path(
-    post, path = "/v1/scenes/{scene_id}/parse", tag = "scenes", params(("scene_id" = String, Path)), request_body = ParseRequest,
+    post, path = "/v1/scenes/{scene_id}/parse", operation_id = "parse_scene", tag = "scenes", params(("scene_id" = String, Path)), request_body = ParseRequest,
     responses(
         (status = 202, body = Job),
         (status = 400, body = Problem, content_type = "application/problem+json"),
@@ -194,7 +195,7 @@ pub async fn parse(
 ///
 /// Names do not depend on questions and are kept; what has one is not paid for again. Questions with `evidence: "cached_names"` use them.
 #[utoipa::path(
-    post, path = "/v1/scenes/{scene_id}/names", tag = "scenes", params(("scene_id" = String, Path)),
+    post, path = "/v1/scenes/{scene_id}/names", operation_id = "name_instances", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 202, body = Job),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -215,7 +216,7 @@ pub async fn name(
 
 /// The cloud in its own colours, PLY.
 #[utoipa::path(
-    get, path = "/v1/scenes/{scene_id}/cloud.ply", tag = "scenes", params(("scene_id" = String, Path)),
+    get, path = "/v1/scenes/{scene_id}/cloud.ply", operation_id = "get_cloud", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -232,7 +233,7 @@ pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Resu
 
 /// The cloud coloured by instance, PLY; each point carries its instance id.
 #[utoipa::path(
-    get, path = "/v1/scenes/{scene_id}/instances.ply", tag = "scenes", params(("scene_id" = String, Path)),
+    get, path = "/v1/scenes/{scene_id}/instances.ply", operation_id = "get_instances_cloud", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -250,7 +251,7 @@ pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String
 /// What the instances look like: a numpy array of half floats, one unit vector per instance in order of id, zero for those no frame
 /// shows. The scene's `models` name the encoder.
 #[utoipa::path(
-    get, path = "/v1/scenes/{scene_id}/embeddings.npy", tag = "scenes", params(("scene_id" = String, Path)),
+    get, path = "/v1/scenes/{scene_id}/embeddings.npy", operation_id = "get_embeddings", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -263,6 +264,22 @@ pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String
 pub async fn embeddings(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Embeddings).await?;
     send_file(&file, "application/octet-stream").await
+}
+
+/// The photographs of a scan: where each was taken from, and with what camera.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}/frames", operation_id = "list_frames", tag = "scenes", params(("scene_id" = String, Path)),
+    responses(
+        (status = 200, body = FrameList),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["read"]), ())
+)]
+pub async fn frames(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Json<FrameList>, Refused> {
+    Ok(Json(app.service.frames(&scene_id).await?))
 }
 
 /// Streams a stored file.

@@ -13,7 +13,7 @@ use uniground_types::stats::Stats;
 
 /// What this server holds, does and may spend, in numbers.
 #[utoipa::path(
-    get, path = "/v1/stats", tag = "service",
+    get, path = "/v1/stats", operation_id = "get_stats", tag = "service",
     responses(
         (status = 200, body = Stats),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -27,7 +27,7 @@ pub async fn stats(State(app): State<App>) -> Result<Json<Stats>, Refused> {
 
 /// The same and more for Prometheus, in the `OpenMetrics` text format.
 #[utoipa::path(
-    get, path = "/metrics", tag = "service",
+    get, path = "/metrics", operation_id = "metrics", tag = "service",
     responses(
         (status = 200, body = String, content_type = "application/openmetrics-text"),
         (status = 401, body = Problem, content_type = "application/problem+json"),

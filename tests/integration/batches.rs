@@ -101,6 +101,10 @@ async fn every_item_gets_its_answer_or_its_error_in_order() {
         rows.len() == 9 && rows[0].starts_with("item,scene_id,query,status") && rows[1].contains("the red sofa,grounded"),
         "{table}"
     );
+    // Defaults in the first line leave the address's scene in place.
+    let lines = "{\"defaults\": {\"top_k\": 3}}\n{\"query\": \"the red sofa\"}\n";
+    let id = client.create_batch_of_lines(lines, &[("scene_id", scene.clone())], None).await.unwrap().id;
+    assert_eq!(results(client, &id, 0, true).await[0].status, "grounded");
     // An answer that was deleted with its scene is missed, not invented.
     client.delete_scene(&scene).await.unwrap();
     let left = results(client, &batch.id, 0, false).await;

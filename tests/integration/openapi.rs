@@ -15,9 +15,11 @@ async fn openapi_json_equals_what_the_server_serves() {
 #[test]
 fn every_operation_and_field_says_what_it_is() {
     let openapi = serde_json::to_value(uniground::http::openapi()).unwrap();
+    let mut ids = std::collections::BTreeSet::new();
     for (path, operations) in openapi["paths"].as_object().unwrap() {
         for (method, operation) in operations.as_object().unwrap() {
             assert!(operation["summary"].as_str().is_some_and(|s| !s.is_empty()), "{method} {path} has no summary");
+            assert!(ids.insert(operation["operationId"].to_string()), "{method} {path}: another operation has its id");
         }
     }
     let answer = &openapi["components"]["schemas"]["Answer"]["properties"];

@@ -125,6 +125,36 @@ pub struct View {
     pub mask: Option<ViewMask>,
 }
 
+/// The photographs of a scan, in its own order.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct FrameList {
+    /// Empty for a scan without frames, and in parses that were made before frames were kept.
+    pub frames: Vec<FrameView>,
+}
+
+/// A photograph: pinhole camera and pose.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct FrameView {
+    /// Position in the scan's own list, from 0, as views name it; frames left out leave gaps.
+    pub index: FrameIndex,
+    /// Columns of the photograph.
+    pub width: u32,
+    /// Rows of the photograph.
+    pub height: u32,
+    /// Focal length along x, pixels.
+    pub fx: f32,
+    /// Focal length along y, pixels.
+    pub fy: f32,
+    /// Column where the optical axis meets the photograph; 0 is the middle of the first pixel.
+    pub cx: f32,
+    /// Row where the optical axis meets the photograph.
+    pub cy: f32,
+    /// Takes points of the camera (x right, y down, z forward) to the scene's world (Z up), metres; rows of a 4 x 4 matrix.
+    pub camera_to_world: [[f32; 4]; 4],
+}
+
 /// A mask over a box, in cells of equal size, as COCO writes run lengths: its tools read it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

@@ -104,7 +104,8 @@ impl Receiving<'_> {
             && fields.len() == 1
             && let Some(Value::Object(defaults)) = fields.get("defaults")
         {
-            self.submission.defaults = defaults.clone();
+            // The scene of the address stays, unless they name another.
+            self.submission.defaults.extend(defaults.clone());
             return Ok(());
         }
         if self.items >= MAX_ITEMS {

@@ -24,6 +24,8 @@ use tokio::task::spawn_blocking;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::NameIndex;
 use uniground_core::parse::{STAGE_1_VERSION, chosen, names_of};
+use uniground_core::scene::{FrameRef, Intrinsics};
+use uniground_types::scene::{FrameList, FrameView};
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
 impl Service {
@@ -96,6 +98,23 @@ impl Service {
             return Err(Error::NoEmbeddings { scene_id: scene_id.into() });
         }
         self.sound_file(&parse_id, file.of(&self.store.blobs.parse(&parse_id))).await
+    }
+
+    /// The frames of a scene's current parse.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
+    pub async fn frames(&self, scene_id: &str) -> Result<FrameList, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let (folder, content) = (self.store.blobs.parse(&parse_id), self.loaded_parse(&parse_id).await?.content.clone());
+        let frames = spawn_blocking(move || read_frames(&folder, &content)).await??;
+        let view = |frame: FrameRef| {
+            let Intrinsics { width, height, fx, fy, cx, cy } = frame.colour_intrinsics;
+            let pose = frame.camera_to_world.to_homogeneous();
+            let camera_to_world = std::array::from_fn(|row| std::array::from_fn(|column| pose[(row, column)]));
+            FrameView { index: frame.index, width, height, fx, fy, cx, cy, camera_to_world }
+        };
+        Ok(FrameList { frames: frames.unwrap_or_default().into_iter().map(view).collect() })
     }
 
     /// The parse of a content under these settings and the models they choose, where there is one and its files are.
