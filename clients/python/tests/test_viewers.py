@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,12 @@ def test_names_boxes_and_colours(scene: Scene) -> None:
     [(name, box, green), (_, _, blue)] = viewers._boxes((answer, scene.instance(25)))
     assert (name, box, green) == ("orange mug", answer.oriented_box, viewers.GREEN)
     assert blue == viewers.BLUE
+
+
+def test_a_library_that_is_not_there_is_named(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(ImportError, match=r"pip install 'uniground\[open3d\]'"):
+        viewers.open3d_geometries(scene.cloud())
 
 
 def test_open3d(scene: Scene) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Optional
 
@@ -95,9 +96,16 @@ def row(of: models.Answer | models.BatchResult | models.InstanceView) -> dict[st
 
 def table(of: Iterable[models.Answer | models.BatchResult | models.InstanceView]) -> pandas.DataFrame:
     """Answers, results of a batch or instances as a pandas table (`pip install 'uniground[pandas]'`)."""
-    import pandas
+    rows: pandas.DataFrame = wanted("pandas").DataFrame([row(one) for one in of])
+    return rows
 
-    return pandas.DataFrame([row(one) for one in of])
+
+def wanted(name: str) -> Any:
+    """A library that is installed only where it is asked for."""
+    try:
+        return importlib.import_module(name)
+    except ImportError as error:
+        raise ImportError(f"this wants {name}: pip install 'uniground[{name}]'") from error
 
 
 def _result_row(result: Any) -> dict[str, Any]:

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from uniground._scan import Cloud
+from uniground._values import wanted
 
 GREEN, BLUE = (0, 150, 60), (40, 90, 200)
 
 
 def open3d_geometries(cloud: Cloud, *of: Any) -> list[Any]:
     """A point cloud and oriented boxes, for `open3d.visualization.draw_geometries` and for computing with."""
-    import open3d
-
+    open3d = wanted("open3d")
     points = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(cloud.points.astype(float)))
     points.colors = open3d.utility.Vector3dVector(cloud.colors / 255)
     geometries = [points]
@@ -31,8 +31,7 @@ def open3d_geometries(cloud: Cloud, *of: Any) -> list[Any]:
 
 def log_rerun(cloud: Cloud, *of: Any, path: str = "scene") -> None:
     """Logs the cloud and the boxes, with their names, to Rerun's current recording, below `path`."""
-    import rerun
-
+    rerun = wanted("rerun")
     rerun.log(path, rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     rerun.log(f"{path}/cloud", rerun.Points3D(cloud.points, colors=cloud.colors), static=True)
     found = list(_boxes(of))
