@@ -16,8 +16,9 @@ fi
 "${PYTHON:-python3}" scripts/python-client.py --check
 cd clients/python
 run=../../$venv/bin
-$run/ruff format --check --quiet . ../../scripts/python-client.py
-$run/ruff check --quiet .
+ours=(. ../../examples/ros2 ../../scripts/python-client.py)
+$run/ruff format --config pyproject.toml --check --quiet "${ours[@]}"
+$run/ruff check --config pyproject.toml --quiet "${ours[@]}"
 $run/mypy
 $run/vermin --quiet --target=3.9- --no-tips src
-nice "$run/python" -m pytest "$@"
+nice $run/python -m pytest "$@"

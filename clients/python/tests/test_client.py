@@ -10,7 +10,7 @@ from typing import Optional
 
 import numpy as np
 import pytest
-from conftest import KEY, SAMPLE, running
+from served import KEY, SAMPLE, running
 
 from uniground import AsyncClient, Client, Scene, UnigroundError, boxes, models, table
 

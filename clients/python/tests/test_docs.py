@@ -11,8 +11,8 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from conftest import ROOT, SAMPLE
 from PIL import Image
+from served import ROOT, SAMPLE
 
 from uniground import Scene
 

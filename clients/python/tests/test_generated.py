@@ -3,7 +3,7 @@
 import subprocess
 import sys
 
-from conftest import ROOT
+from served import ROOT
 
 
 def test_models_and_client_are_up_to_date() -> None:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import nbformat
 import pytest
-from conftest import ROOT
 from nbclient import NotebookClient
+from served import ROOT
 
 NOTEBOOK = ROOT / "clients/python/examples/first_question.ipynb"
 

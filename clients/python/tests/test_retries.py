@@ -10,7 +10,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any
 
 import pytest
-from conftest import SAMPLE
+from served import SAMPLE
 
 from uniground import Client, UnigroundError
 
