@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import threading
 import time
 from collections.abc import Callable, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from typing import Any
 
 import pytest
 from served import SAMPLE
 
-from uniground import Client, UnigroundError
+from uniground import AsyncClient, Client, UnigroundError
 
 # What a scripted server does with a request.
 Reply = Callable[[BaseHTTPRequestHandler], None]
@@ -41,9 +43,10 @@ class Handler(BaseHTTPRequestHandler):
         pass
 
     def do_GET(self) -> None:
-        body = self.rfile.read(int(self.headers.get("content-length", 0)))
+        reply = self.server.replies.pop(0)
+        body = b"" if reply is refuses_unread else self.rfile.read(int(self.headers.get("content-length", 0)))
         self.server.requests.append((f"{self.command} {self.path}", dict(self.headers), body))
-        self.server.replies.pop(0)(self)
+        reply(self)
 
     do_POST = do_DELETE = do_PATCH = do_GET
 
@@ -74,6 +77,11 @@ def sends_then_breaks_off(content: bytes) -> Reply:
         handler.close_connection = True
 
     return reply
+
+
+def refuses_unread(handler: BaseHTTPRequestHandler) -> None:
+    says(413, {**BUSY, "status": 413, "code": "upload_too_large"}, {"connection": "close"})(handler)
+    handler.close_connection = True
 
 
 def stays_silent(handler: BaseHTTPRequestHandler) -> None:
@@ -132,6 +140,17 @@ def test_an_upload_is_repeated_whole_under_one_key(scripted: Callable[..., Scrip
     (_, first, one), (_, second, two) = server.requests
     assert one == two == SAMPLE.read_bytes()
     assert first["idempotency-key"] == second["idempotency-key"]
+
+
+def test_a_refusal_is_heard_while_the_scan_is_still_being_sent(scripted: Callable[..., Scripted], tmp_path: Path) -> None:
+    large = tmp_path / "large.zip"
+    large.write_bytes(bytes(30_000_000))
+    server = scripted(refuses_unread, refuses_unread)
+    with pytest.raises(UnigroundError) as waiting:
+        Client(server.url).upload(large)
+    with pytest.raises(UnigroundError) as asynchronous:
+        asyncio.run(AsyncClient(server.url).upload(large))
+    assert (waiting.value.code, asynchronous.value.code, len(server.requests)) == ("upload_too_large", "upload_too_large", 2)
 
 
 def test_nobody_there_is_told(scripted: Callable[..., Scripted]) -> None:

@@ -15,10 +15,11 @@ import httpx
 
 from uniground import models
 from uniground._scan import Cloud, Source, packed, read_ply
+from uniground._sync import Client  # async only
 from uniground._wire import (
     Progress,
     UnigroundError,
-    async_chunks,
+    chunks,
     decode,
     pause_before,
     problem_of,
@@ -57,6 +58,7 @@ class AsyncClient:
     ) -> None:
         self.server, headers = settings(server, api_key)
         self._retries = retries
+        self._waiting = Client(server, api_key, timeout_s=timeout_s, retries=retries)  # async only
         timeout = httpx.Timeout(timeout_s, connect=min(10.0, timeout_s))
         self._http = httpx.AsyncClient(base_url=self.server, headers=headers, timeout=timeout)
 
@@ -67,6 +69,7 @@ class AsyncClient:
         await self.close()
 
     async def close(self) -> None:
+        self._waiting.close()  # async only
         await self._http.aclose()
 
     def __repr__(self) -> str:
@@ -85,18 +88,21 @@ class AsyncClient:
     ) -> AsyncScene:
         """Uploads a scan and has it parsed; `wait` on what comes back waits for that.
 
-        `scan` is a folder, an archive (.zip, .tar, .tar.zst), a .ply file or a `Scan` of arrays. `on_progress(sent, total)` is told bytes.
-        With an `idempotency_key` of yours the scene that it made before comes back, however often the program is run.
+        `scan` is a folder, an archive (.zip, .tar, .tar.zst), a .ply file or a `Scan` of arrays. `on_progress(sent, total)` is told bytes;
+        the asynchronous client calls it from a thread. With an `idempotency_key` of yours the scene that it made before comes back,
+        however often the program is run.
         """
         archive = await asyncio.to_thread(packed, scan)
         with archive.file:
             params = {"name": name, "up": up, "preset": preset, "parse": parse}
-            reply = await self._send(
+            # Not on the event loop: asyncio loses a refusal that comes while the scan is still being sent.  # async only
+            reply = await asyncio.to_thread(
+                self._waiting._send,
                 "POST",
                 "/v1/scenes",
                 params=params,
                 headers={"content-type": archive.media_type, "content-length": str(archive.size)},
-                content=lambda: async_chunks(archive.file, archive.size, on_progress),
+                content=lambda: chunks(archive.file, archive.size, on_progress),
                 idempotency_key=idempotency_key or str(uuid.uuid4()),
             )
         return AsyncScene(self, decode(models.Created, reply.json()).scene)

@@ -85,8 +85,9 @@ class Client:
     ) -> Scene:
         """Uploads a scan and has it parsed; `wait` on what comes back waits for that.
 
-        `scan` is a folder, an archive (.zip, .tar, .tar.zst), a .ply file or a `Scan` of arrays. `on_progress(sent, total)` is told bytes.
-        With an `idempotency_key` of yours the scene that it made before comes back, however often the program is run.
+        `scan` is a folder, an archive (.zip, .tar, .tar.zst), a .ply file or a `Scan` of arrays. `on_progress(sent, total)` is told bytes;
+        the asynchronous client calls it from a thread. With an `idempotency_key` of yours the scene that it made before comes back,
+        however often the program is run.
         """
         archive = packed(scan)
         with archive.file:

@@ -7,7 +7,7 @@ import functools
 import io
 import json
 import os
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Any, Optional, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import httpx
@@ -166,8 +166,3 @@ def chunks(file: io.BufferedIOBase, total: int, on_progress: Optional[Progress])
         sent += len(piece)
         if on_progress:
             on_progress(sent, total)
-
-
-async def async_chunks(file: io.BufferedIOBase, total: int, on_progress: Optional[Progress]) -> AsyncIterator[bytes]:
-    for piece in chunks(file, total, on_progress):
-        yield piece
