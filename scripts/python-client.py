@@ -50,7 +50,7 @@ SYNC_WORDS = [
     (r"\bawait ", ""),
     (r"\bAsync(Client|Scene|Batch|Iterator|Generator)\b", r"\1"),
     (r"\basyncio\.to_thread\((\w+), ", r"\1("),
-    (r"\baiter_lines\b", "iter_lines"),
+    (r"\baiter_bytes\b", "iter_bytes"),
     (r"\ba(close|read)\(", r"\1("),
     (r"__aenter__", "__enter__"),
     (r"__aexit__", "__exit__"),

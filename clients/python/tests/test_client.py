@@ -14,7 +14,8 @@ from served import KEY, SAMPLE, running
 
 from uniground import AsyncClient, Client, Scene, UnigroundError, boxes, models, table
 
-QUESTIONS = ["the mug on the coffee table", "how many mugs are there", "the sofa", "the spaceship"]
+# With a line separator of Unicode's, which is none of JSON's lines.
+QUESTIONS = ["the mug on the coffee table", "how many mugs are there", "the\u2028sofa", "the spaceship"]
 
 
 def test_a_scan_is_uploaded_followed_and_asked_about(client: Client, few_frames: Path) -> None:
@@ -139,6 +140,18 @@ def test_a_list_of_questions_is_asked_in_order_and_only_once(client: Client, sce
     assert batch.id in [other.id for other in client.batches()]
     kept = next(client.answers(batch_id=batch.id))
     assert kept == client.answer(kept.id) == sofa.answer
+
+
+def test_a_list_that_was_paused_goes_on_when_it_is_asked_again(client: Client, scene: Scene) -> None:
+    questions = [f"the {colour} chair" for colour in ("red", "blue", "green", "white")] * 500
+    batch = client.batch(questions, scene=scene, label="paused", concurrency=1).pause()
+    assert batch.info.state == "paused"
+    with pytest.raises(UnigroundError, match="paused after") as paused:
+        list(batch.results())
+    assert paused.value.code == "batch_paused"
+    again = client.batch(questions, scene=scene, label="paused", concurrency=1)
+    assert (again.id, again.info.state) == (batch.id, "running")
+    assert again.cancel().info.state == "cancelled"
 
 
 def test_a_list_that_was_cut_off_goes_on(client: Client, scene: Scene, tmp_path: Path) -> None:

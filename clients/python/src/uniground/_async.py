@@ -177,23 +177,25 @@ class AsyncClient:
         """Has the server ask a list of questions in the background: words, or dictionaries with `query`, `scene_id` and what else
         a question may have.
 
-        The same questions under the same options are the same batch, so that a program that was stopped goes on with it when it is
-        run again. Another `label`, or an `idempotency_key` of yours, asks anew.
+        The same questions under the same options, about the same parse of a scene, are the same batch: a program that was stopped goes on
+        with it when it is run again, also where it was paused. Another `label`, or an `idempotency_key` of yours, asks anew.
         """
-        scene_id = scene.id if isinstance(scene, AsyncScene) else scene
+        scene_id, version = (scene.id, scene.info.parse_version) if isinstance(scene, AsyncScene) else (scene, None)
         lines: list[Mapping[str, Any]] = [{"defaults": _given({**(defaults or {}), "scene_id": scene_id})}]
         lines += [{"query": question} if isinstance(question, str) else question for question in questions]
         body = b"\n".join(to_json(line) for line in lines)
         params = {"label": label, "concurrency": concurrency, "max_cost_usd": max_cost_usd}
+        digest = hashlib.sha256(to_json([params, version]) + body).hexdigest()
         reply = await self._send(
             "POST",
             "/v1/batches",
             params=params,
             headers={"content-type": "application/jsonl"},
             content=lambda: body,
-            idempotency_key=idempotency_key or hashlib.sha256(to_json(params) + body).hexdigest(),
+            idempotency_key=idempotency_key or digest,
         )
-        return AsyncBatch(self, decode(models.Batch, reply.json()))
+        batch = AsyncBatch(self, decode(models.Batch, reply.json()))
+        return await batch.resume() if batch.info.state == "paused" else batch
 
     async def get_batch(self, batch_id: str) -> AsyncBatch:
         """A batch by its id."""
@@ -252,8 +254,12 @@ class AsyncClient:
                 if not reply.is_success:
                     await reply.aread()
                     raise problem_of(reply)
-                async for line in reply.aiter_lines():
-                    yield line
+                # Not `iter_lines`, which also breaks lines where a question has one of Unicode's own line separators.
+                rest = b""
+                async for piece in reply.aiter_bytes():
+                    *lines, rest = (rest + piece).split(b"\n")
+                    for line in lines:
+                        yield line.decode()
         except httpx.TransportError as error:
             raise transport_problem(error, self.server) from error
 
@@ -317,7 +323,7 @@ class AsyncScene:
         self, questions: Iterable[Union[str, Mapping[str, Any]]], **options: Unpack[models.GroundOptions]
     ) -> list[models.BatchResult]:
         """Answers many questions, as a batch: the results in the order of the questions. Run again, it pays for nothing twice."""
-        batch = await self._client.batch(questions, scene=self.id, defaults=options)
+        batch = await self._client.batch(questions, scene=self, defaults=options)
         return [result async for result in batch.results()]
 
     async def shortlist(self, query: str, **options: Unpack[models.ShortlistOptions]) -> models.Shortlisted:
