@@ -9,7 +9,7 @@ packages=$venv/packages
 [ -x $venv/bin/python ] || "${PYTHON:-python3}" -m venv $venv
 # Again where what is asked for has changed.
 if ! cmp -s clients/python/pyproject.toml $packages; then
-    $venv/bin/python -m pip install --quiet --disable-pip-version-check --editable 'clients/python[test]'
+    $venv/bin/python -m pip install --quiet --no-compile --disable-pip-version-check --editable 'clients/python[test]'
     cp clients/python/pyproject.toml $packages
 fi
 

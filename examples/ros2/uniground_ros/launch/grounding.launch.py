@@ -4,6 +4,7 @@ from launch import LaunchDescription
 from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
 
 ARGUMENTS = {
     "scene_id": ("", "A parsed scene of the server"),
@@ -31,7 +32,8 @@ def generate_launch_description():
                 executable="grounding",
                 name="uniground",
                 output="screen",
-                parameters=[{"scene_id": given["scene_id"], "server": given["server"]}],
+                # As words, whatever they look like: launch would read some ids as numbers.
+                parameters=[{name: ParameterValue(given[name], value_type=str) for name in ("scene_id", "server")}],
             ),
         ]
     )

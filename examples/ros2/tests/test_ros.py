@@ -1,4 +1,4 @@
-"""The ROS 2 example against the real server; ROS itself is stood in for where it is not installed."""
+"""The ROS 2 example against the real server; `stubs` stands for ROS itself."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ import stubs
 
 from uniground import Scene, models
 
-pytest.importorskip("rosbags")
-SERVICE = Path(__file__).parents[2] / "uniground_interfaces/srv/Ground.srv"
+SERVICE = Path(__file__).parents[1] / "uniground_interfaces/srv/Ground.srv"
 stubs.install("\n".join(line for line in SERVICE.read_text().splitlines() if not line.startswith("#")) + "\n")
 
 from geometry_msgs.msg import TransformStamped  # noqa: E402

@@ -1,4 +1,4 @@
-"""What stands for ROS 2 where it is not installed.
+"""What stands for ROS 2, which the tests do not want installed.
 
 Messages are made of their real definitions, so that a wrong field or type fails here too: `packed` writes them as they go over the wire.
 Nodes keep what they publish, and transforms are those of `TRANSFORMS`.
