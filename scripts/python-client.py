@@ -85,8 +85,11 @@ class Models:
                 self.reach(part)
 
     def write(self) -> str:
-        # Aliases first: a dataclass may use a later one, an alias may not.
-        order = sorted(self.schemas, key=lambda name: ("properties" in self.whole(name), name))
+        # Annotations are read late, aliases at once: those that name a class come after it.
+        def place(name: str) -> int:
+            return 1 if "properties" in self.whole(name) else 2 if "$ref" in json.dumps(self.schemas[name]) else 0
+
+        order = sorted(self.schemas, key=lambda name: (place(name), name))
         used = sorted({METHODS[name] for name in order if name in METHODS})
         parts = [MODELS_HEAD.format(methods=", ".join(used)), *(self.definition(name) for name in order)]
         return "\n".join(parts)
@@ -103,7 +106,7 @@ class Models:
             return schema
         properties: dict[str, Any] = {}
         for part in parts:
-            for field_name, kind in part["properties"].items():
+            for field_name, kind in part.get("properties", {}).items():
                 known = properties.get(field_name)
                 words = [*known["enum"], *kind["enum"]] if known and "enum" in kind else None
                 properties[field_name] = {**kind, "enum": words} if words else kind
@@ -169,7 +172,9 @@ class Models:
             [kind, *others] = [kind for kind in kinds if kind != "null"]
             return "Any" if others else f"Optional[{self.type_of({**schema, 'type': kind}, request)}]"
         if kinds == "array":
-            items = self.type_of(schema["items"], request)
+            each = [schema["items"]] if isinstance(schema.get("items"), dict) else schema.get("prefixItems", [])
+            kinds_of_items = {self.type_of(item, request) for item in each}
+            items = kinds_of_items.pop() if len(kinds_of_items) == 1 else "Any"
             return f"Sequence[{items}]" if request else f"list[{items}]"
         if kinds == "object":
             values = schema.get("additionalProperties")

@@ -19,6 +19,7 @@ stubs.install("\n".join(line for line in SERVICE.read_text().splitlines() if not
 from geometry_msgs.msg import TransformStamped  # noqa: E402
 from std_msgs.msg import Header, String  # noqa: E402
 from uniground_interfaces.srv import Ground  # noqa: E402
+
 from uniground_ros import convert  # noqa: E402
 from uniground_ros.convert import Placed  # noqa: E402
 from uniground_ros.node import Grounding  # noqa: E402
