@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-http openapi python-client test-python schemathesis clean
+.PHONY: demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-pointed bench-http openapi python-client test-python schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -78,6 +78,9 @@ bench-language: ## Reading questions, and deciding them over 200 and 5,000 insta
 
 bench-vlm: ## What a vision-language model is shown, what that costs in time and tokens, without a model
 	$(CARGO) bench --locked --quiet --bench vlm
+
+bench-pointed: ## Things stage 1 misses, pointed at in a photograph (MODELS=folder with a segmenter)
+	$(CARGO) bench --locked --quiet --bench pointed -- $(if $(MODELS),--models $(MODELS)) $(ROOMS)
 
 bench-http: ## Questions per second over HTTP (needs Debian's wrk)
 	$(CARGO) build --release --locked --quiet

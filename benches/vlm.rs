@@ -89,7 +89,7 @@ impl Sample {
     /// Three renders of 680 x 680 and five collages, drawn and encoded; photographs come from files, the cloud is in memory.
     fn time_evidence(&self, queries: &[String]) {
         let context = queries.iter().map(|q| self.context(q, 5)).find(|c| c.candidates.len() == 5).unwrap();
-        let settings = PictureSettings::of(EvidenceMode::Full);
+        let settings = PictureSettings::of(Options::default());
         let mut times: Vec<f64> = (0..ROUNDS)
             .map(|_| {
                 let scene = self.fresh(POINTS);
@@ -131,7 +131,7 @@ impl Sample {
                 (EvidenceMode::TwoStep, &three, &mut two_step),
             ];
             for (evidence, context, total) in modes {
-                let settings = PictureSettings::of(evidence);
+                let settings = PictureSettings::of(Options { evidence, ..Options::default() });
                 let pictures = collect(scene.as_ref(), context, &settings).unwrap();
                 let names: BTreeMap<u32, String> = context.candidates.iter().map(|c| (c.id.0, name(c.id.0))).collect();
                 let options = Options { evidence, ..Options::default() };

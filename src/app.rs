@@ -103,14 +103,18 @@ fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken) ->
     tokio::spawn(async move { jobs.run_lane(Arc::new(kind), shutdown).await })
 }
 
-/// Says at the start, and not with somebody's question, that the vision-language model's server is not there.
+/// Says at the start, and not with somebody's question, that the vision-language model's server is not there, or what it will not take.
 async fn look_for_model(chat: Arc<ChatClient>, service: Service) {
-    if let (Err(error), Some(vlm)) = (chat.reach().await, service.vlm()) {
+    let Some(vlm) = service.vlm() else { return };
+    if let Err(error) = chat.reach().await {
         tracing::warn!(
             error = &error as &dyn std::error::Error,
             "the vision-language model's server can not be reached: built-in parts answer until it can"
         );
-        vlm.found_gone();
+        return vlm.found_gone();
+    }
+    for limit in chat.limits().await {
+        tracing::warn!(limit, "the vision-language model's server has a limit that questions will meet");
     }
 }
 

@@ -107,6 +107,7 @@ impl From<QuestionError> for Error {
     fn from(error: QuestionError) -> Self {
         match error {
             QuestionError::Encoder(error) => Self::Model(error),
+            QuestionError::Photograph(error) => Self::Parse(error),
             QuestionError::Review(error) => error.into(),
             QuestionError::Unread(why) => Self::VlmFailed { why, attempts: 0 },
         }

@@ -132,7 +132,7 @@ def main():
             },
             "outputs": {"masks": "low_res_masks", "iou": "iou_predictions"},
             "mask_size": 4 * grid, "multimask": True, "num_masks": 4, "multimask_first": 1, "single_mask": 0,
-            "dynamic_batch": True, "max_batch": 2, "pad_point": True, "mask_threshold": 0.0,
+            "dynamic_batch": True, "max_batch": 2, "accelerated_batch": 64, "pad_point": True, "mask_threshold": 0.0,
         },
         "licence": args.licence,
         "source": f"{args.module} {args.type} " + (pathlib.Path(args.checkpoint).name if args.checkpoint else f"random seed {args.random}"),

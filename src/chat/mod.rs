@@ -1,5 +1,6 @@
 //! Vision-language models behind any OpenAI-compatible chat endpoint, and their answers recorded for replay.
 
+mod limits;
 mod replay_cache;
 
 use crate::trace_context;

@@ -80,6 +80,9 @@ struct RunArgs {
     /// Score this many expressions, drawn by --seed
     #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
     sample: Option<u32>,
+    /// Score the expressions of this many scenes, drawn by --seed; --sample then draws among these
+    #[arg(long, value_name = "COUNT", value_parser = clap::value_parser!(u32).range(1..))]
+    sample_scenes: Option<u32>,
     /// Of the sample and of the bootstrap
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -125,17 +128,18 @@ fn evaluate(suite: &Utf8Path, args: &RunArgs) -> anyhow::Result<()> {
     let baseline = args.baseline.as_deref().map(Baseline::read).transpose().context("--baseline")?;
     let options = SuiteOptions { scenes: args.scenes.clone(), label_map: args.label_map.clone() };
     let mut suite = Suite::open(suite, &options)?;
+    if let Some(count) = args.sample_scenes {
+        suite = suite.sampled_by_scene(count as usize, args.seed);
+    }
     if let Some(count) = args.sample {
         suite = suite.sampled(count as usize, args.seed);
     }
-    let system: Box<dyn System> = match &args.server {
-        Some(address) => Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?),
-        None => Box::new(InProcess::new(
-            args.models.clone(),
-            vlm_client(args)?,
-            args.record.as_deref(),
-            ModelUse { max_usd: args.max_usd, json: args.vlm.vlm_json },
-        )?),
+    let system: Box<dyn System> = if let Some(address) = &args.server {
+        Box::new(Server::connect(address, std::env::var("UNIGROUND_API_KEY").ok())?)
+    } else {
+        let usage = ModelUse { max_usd: args.max_usd, json: args.vlm.vlm_json };
+        let system = InProcess::new(args.models.clone(), vlm_client(args)?, args.record.as_deref(), usage)?;
+        Box::new(system.keeping_parses_in(&args.out.join("parses")))
     };
     suite.omissions.iter().for_each(|omission| eprintln!("left out: {omission}"));
     let run = RunOptions { out: &args.out, cells: &cells, concurrency: args.concurrency.into(), progress: &show_progress };

@@ -5,10 +5,11 @@ use super::Binary;
 use super::extract::{Path, Query};
 use super::problem::Refused;
 use super::scenes::send_file;
+use crate::service::EvidenceFile;
 use axum::Json;
 use axum::extract::State;
-use axum::http::StatusCode;
-use axum::response::Response;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture};
 use uniground_types::problem::Problem;
@@ -109,6 +110,8 @@ pub async fn view(
     let number = view.strip_suffix(".jpg").and_then(|k| k.parse().ok());
     let number = number
         .ok_or_else(|| Refused::new(StatusCode::NOT_FOUND, "view_not_found", format!("views are 0.jpg, 1.jpg, ...; not {view:?}")))?;
-    let file = app.service.view_picture(&scene_id, InstanceId(instance_id), number, picture).await?;
-    send_file(&file, "image/jpeg").await
+    match app.service.view_picture(&scene_id, InstanceId(instance_id), number, picture).await? {
+        EvidenceFile::Stored(file) => send_file(&file, "image/jpeg").await,
+        EvidenceFile::Drawn(jpeg) => Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response()),
+    }
 }

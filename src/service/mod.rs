@@ -23,6 +23,7 @@ pub use answers::{LineFormat, usage};
 pub use batches::{BatchJob, Body, Results, Submission};
 pub use doctor::{Finding, Trouble};
 pub use health::Health;
+pub use instances::EvidenceFile;
 pub use keys::{Allowance, Caller, Denied, Done, Keyring};
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};

@@ -6,6 +6,7 @@ use sqlx::sqlite::SqliteRow;
 use sqlx::{FromRow, Row};
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::scene::{ImportReport, Instance, InstanceId, ParseReport};
+use uniground_core::scene_parsing::pointed::known_as;
 use uniground_types::settings::{ParseModels, ParseSettings};
 
 /// A finished parse as stored; JSON columns as text: [`record`](Self::record) reads them.
@@ -164,6 +165,40 @@ impl Store {
             .fetch_all(&self.reader)
             .await?;
         bodies.iter().map(|body| Ok(serde_json::from_str::<InstanceRecord>(body)?.into())).collect()
+    }
+
+    /// Adds an instance that was found for a question, behind all others, and answers its id: that of the same thing where it was found
+    /// before. `None` when the parse is gone, or has `most` of them already.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn insert_found(&self, parse_id: &str, found: &Instance, most: usize) -> Result<Option<InstanceId>, StoreError> {
+        let mut tx = self.writer.begin().await?;
+        let before = "SELECT body FROM instances WHERE parse_id = ? AND json_extract(body, '$.found_for') IS NOT NULL ORDER BY id";
+        let before: Vec<String> = sqlx::query_scalar(before).bind(parse_id).fetch_all(&mut *tx).await?;
+        let before: Vec<Instance> = before
+            .iter()
+            .map(|body| Ok(serde_json::from_str::<InstanceRecord>(body)?.into()))
+            .collect::<Result<_, StoreError>>()?;
+        let last: Option<u32> = sqlx::query_scalar("SELECT max(id) FROM instances WHERE parse_id = ?")
+            .bind(parse_id)
+            .fetch_one(&mut *tx)
+            .await?;
+        let (known, full) = (known_as(&before, found).map(|known| known.id), before.len() >= most);
+        let Some(id) = last.map(|last| InstanceId(last + 1)).filter(|_| known.is_none() && !full) else {
+            tx.forget().await?;
+            return Ok(known);
+        };
+        let body = serde_json::to_string(&InstanceRecord::from(&Instance { id, ..found.clone() }))?;
+        sqlx::query("INSERT INTO instances (parse_id, id, body, record_version) VALUES (?, ?, ?, ?)")
+            .bind(parse_id)
+            .bind(id.0)
+            .bind(body)
+            .bind(RECORD_VERSION)
+            .execute(&mut *tx)
+            .await?;
+        tx.commit().await?;
+        Ok(Some(id))
     }
 
     /// # Errors

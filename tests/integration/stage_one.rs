@@ -11,10 +11,13 @@ use uniground_core::geometry::Point3;
 use uniground_core::ingest;
 use uniground_core::ingest::archive::{ArchiveKind, UnpackLimits, unpack};
 use uniground_core::progress::Progress;
-use uniground_core::scene::{Frame, ImportReport, ParsedScene, PointCloud, PoseConvention, SceneBundle, Structure};
+use uniground_core::scene::{
+    Frame, FrameIndex, ImportReport, Instance, Level, ParsedScene, PointCloud, PoseConvention, SceneBundle, Structure,
+};
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
 use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
+use uniground_core::scene_parsing::pointed::{Place, Pointing};
 use uniground_core::scene_parsing::{self, ParseError, ParsingSettings, Perception, superpoints};
 use uniground_types::settings::ImportSettings;
 
@@ -298,4 +301,37 @@ fn frames_that_see_nothing_are_named() {
         "{:?}",
         parsed.report.warnings
     );
+}
+
+/// Things that the built-in masks cut out are cut out again where somebody points at them, as if they had been missed.
+#[test]
+fn what_somebody_points_at_is_cut_out() {
+    let scratch = tempfile::tempdir().unwrap();
+    let folder = Utf8Path::from_path(scratch.path()).unwrap();
+    let sample = Utf8Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip"));
+    unpack(sample, ArchiveKind::Zip, folder, &UnpackLimits::default()).unwrap();
+    let bundle = ingest::load(&ingest::open(folder).unwrap(), &ImportSettings::default(), &Progress::silent()).unwrap();
+    let settings = ParsingSettings::default();
+    let parsed = parse(bundle.clone(), &RgbdMasks { settings: settings.rgbd_masks });
+    let pointing = Pointing { cloud: &parsed.cloud, frames: &bundle.frames, segmenter: None, settings: &settings };
+    let shown = |i: &&Instance| i.level == Level::Thing && i.structure.is_none() && i.point_count >= 1000 && !i.views.is_empty();
+    let (mut asked, mut found) = (0, 0);
+    for thing in parsed.instances.iter().filter(shown).take(20) {
+        let [left, top, right, bottom] = thing.views[0].box_px;
+        let place = Place { frame: thing.views[0].frame, at: ((left + right) as f32 / 2.0, (top + bottom) as f32 / 2.0) };
+        let known: Vec<Instance> = parsed.instances.iter().filter(|i| i.structure.is_some()).cloned().collect();
+        let again = pointing.find(place, &known, &[]).unwrap();
+        asked += 1;
+        found += u32::from(again.as_ref().is_some_and(|again| again.aabb.iou(&thing.aabb) >= 0.25));
+        // The same place gives the same thing, with views that show it.
+        if asked == 1 {
+            assert_eq!(pointing.find(place, &known, &[]).unwrap(), again);
+        }
+        assert!(again.is_none_or(|again| again.id.0 as usize == known.len() + 1 && again.point_count >= 20 && !again.views.is_empty()));
+    }
+    println!("pointed at: {found} of {asked} cut out again");
+    assert!(asked >= 10 && found * 2 >= asked, "{found} of {asked}");
+    // Beside the room nothing is cut out.
+    let nowhere = Place { frame: FrameIndex(4711), at: (10.0, 10.0) };
+    assert_eq!(pointing.find(nowhere, &parsed.instances, &[]).unwrap(), None);
 }

@@ -45,6 +45,10 @@ pub struct InstanceView {
     /// What the configured vision-language model calls it, without having heard a question; `null` until it was asked.
     #[serde(default)]
     pub model_name: Option<String>,
+    /// The question it was found for: a vision-language model saw it in a photograph, and it was no instance yet. `null` for what the
+    /// parse has found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub found_for: Option<String>,
     /// Frames that show it best; pictures at `/instances/{id}/views/{k}.jpg`, k from 0.
     pub views: Vec<View>,
 }

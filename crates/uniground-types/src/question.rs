@@ -68,6 +68,10 @@ pub enum Ablation {
     NoCandidate,
     /// Pictures, candidates and the question alone: no directions, anchors, steps or format.
     SimplePrompt,
+    /// The simple prompt with one render of the room as it is, without boxes, words or photographs (the paper's naive diagnostic).
+    RawRender,
+    /// No closed loop: what the model says first is not asked about again.
+    NoLoop,
 }
 
 /// Who chooses the candidates: what a vision-language model is shown and may choose from.

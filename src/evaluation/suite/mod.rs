@@ -16,7 +16,7 @@ use super::sealed::Sealed;
 use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use label_map::LabelMap;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::geometry::rotated_box::RotatedBox;
@@ -181,6 +181,19 @@ impl Suite {
         let mut kept: Vec<usize> = keyed.into_iter().take(count).map(|(_, i)| i).collect();
         kept.sort_unstable();
         self.tasks = kept.into_iter().map(|i| self.tasks[i].clone()).collect();
+        self
+    }
+}
+
+impl Suite {
+    /// The tasks of the first `count` scenes of an order that depends on ids and `seed` alone.
+    #[must_use]
+    pub fn sampled_by_scene(mut self, count: usize, seed: u64) -> Self {
+        let asked_about: BTreeSet<usize> = self.tasks.iter().map(|task| task.scene).collect();
+        let mut keyed: Vec<(u64, usize)> = asked_about.into_iter().map(|scene| (hash(&self.scenes[scene].id, seed), scene)).collect();
+        keyed.sort_unstable();
+        let kept: BTreeSet<usize> = keyed.into_iter().take(count).map(|(_, scene)| scene).collect();
+        self.tasks.retain(|task| kept.contains(&task.scene));
         self
     }
 }

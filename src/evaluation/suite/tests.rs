@@ -235,3 +235,26 @@ fn a_sample_depends_on_ids_and_seed_alone() {
     assert_ne!(ids(suite.clone().sampled(10, 2)), drawn);
     assert_eq!(ids(suite.clone().sampled(500, 2)), ids(suite));
 }
+
+#[test]
+fn a_sample_of_scenes_keeps_all_that_is_asked_of_them() {
+    let names = ["a", "b", "c", "d", "e"];
+    let annotations = names.map(|name| format!("{name}.scene.json"));
+    let lists = names.map(|name| format!("{name}.queries.json"));
+    let expressions = r#"[{"query": "one", "target_id": null}, {"query": "two", "target_id": null}]"#;
+    let mut files: Vec<(&str, &str)> = annotations.iter().map(|name| (name.as_str(), ROOM)).collect();
+    files.extend(lists.iter().map(|name| (name.as_str(), expressions)));
+    let (_keep, root) = folder(&files);
+    let suite = open(&root, "");
+    let scenes = |seed| {
+        let drawn = suite.clone().sampled_by_scene(2, seed);
+        assert_eq!(drawn.tasks.len(), 4, "both expressions of both scenes");
+        drawn
+            .tasks
+            .iter()
+            .map(|task| drawn.scenes[task.scene].id.clone())
+            .collect::<std::collections::BTreeSet<_>>()
+    };
+    assert_eq!((scenes(1).len(), scenes(1)), (2, scenes(1)));
+    assert!((0..20).any(|seed| scenes(seed) != scenes(1)));
+}

@@ -13,7 +13,8 @@ use crate::evaluation::sealed::OracleRun;
 use crate::evaluation::suite::{Expression, Hints, SuiteScene};
 use crate::service::usage;
 use anyhow::{Context, ensure};
-use camino::Utf8Path;
+use camino::{Utf8Path, Utf8PathBuf};
+use sha2::{Digest, Sha256};
 use std::collections::HashMap;
 use std::fs;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -36,7 +37,7 @@ use uniground_core::scene::{Embeddings, FrameRef, Instance, InstanceId, ParsedSc
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::answer::Models;
 use uniground_types::question::{ParserChoice, ReasonerChoice};
-use uniground_types::settings::ParseSettings;
+use uniground_types::settings::{ImportSettings, ParseSettings};
 
 /// How a model is asked in a run.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -50,6 +51,10 @@ pub struct ModelUse {
 /// The system of this executable.
 pub struct InProcess {
     fingerprint: String,
+    /// Its executable, by its bytes.
+    program: String,
+    /// Where finished stages of parses are kept, for the next run.
+    parses: Option<Utf8PathBuf>,
     vlm: Option<Arc<Reviewer>>,
     bundles: BundlesConfig,
     /// Loaded models by the names of masks and encoder.
@@ -84,7 +89,25 @@ impl InProcess {
             recorded.map_or("", Utf8Path::as_str)
         );
         let vlm = vlm.map(|client| Reviewer::new(client, usage)).transpose()?.map(Arc::new);
-        Ok(Self { fingerprint, vlm, bundles, loaded: Mutex::default() })
+        Ok(Self { fingerprint, program, parses: None, vlm, bundles, loaded: Mutex::default() })
+    }
+
+    /// With finished stages of parses kept below a folder: a run with other questions, models or settings of stage 2 does not repeat them. They
+    /// are this executable's alone.
+    #[must_use]
+    pub fn keeping_parses_in(self, folder: &Utf8Path) -> Self {
+        Self { parses: Some(folder.to_owned()), ..self }
+    }
+
+    /// Kept stages of one scan's parses.
+    fn checkpoints(&self, scan: &Utf8Path, import: &ImportSettings) -> anyhow::Result<Checkpoints> {
+        let Some(parses) = &self.parses else { return Ok(Checkpoints::none()) };
+        let mut hasher = Sha256::new();
+        digest::add_path(scan, &mut hasher).with_context(|| scan.to_string())?;
+        let content = digest::finish(hasher);
+        let folder = parses.join(&content);
+        fs::create_dir_all(&folder).with_context(|| folder.to_string())?;
+        Ok(Checkpoints::kept_in(&folder, &serde_json::to_string(&(&self.program, content, import))?))
     }
 
     /// The models a configuration asks for, loaded once.
@@ -137,7 +160,7 @@ impl System for InProcess {
                 let scan = scene.scan.as_deref().with_context(|| missing("scan"))?;
                 let folder = Unpacked::of(scan)?;
                 let ParsedScan { scene, models, frames, .. } =
-                    parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &Progress::silent())?;
+                    parse_scan(&folder.path, &settings, &models, &self.checkpoints(scan, &settings.import)?, &Progress::silent())?;
                 let ParsedScene { instances, cloud, extent, embeddings, .. } = scene;
                 Entered { instances, cloud, extent, masks: models.masks, embeddings, frames, folder: Some(folder) }
             }
@@ -152,7 +175,8 @@ impl System for InProcess {
             .label(Role::Encoder)
             .filter(|_| embeddings.is_some())
             .unwrap_or_else(|| attributes::NAME.into());
-        let album = Album::new(extent, RenderScene::of_parsed(cloud, &instances), models.encoder.zip(embeddings), encoder, frames);
+        let album = Album::new(extent, RenderScene::of_parsed(cloud, &instances), models.encoder.zip(embeddings), encoder, frames)
+            .with_segmenter(models.segmenters.first().cloned());
         Ok(Box::new(LocalScene {
             boxes: instances.iter().map(|i| i.aabb).collect(),
             instances: instances.into(),

@@ -82,6 +82,7 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: NamedB
             views: Vec::new(),
             names: Vec::new(),
             given_name: None,
+            found_for: None,
         };
         if names == NamedBy::Annotated {
             give_name(&mut instance, &object.name);

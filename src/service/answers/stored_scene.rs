@@ -2,7 +2,7 @@
 
 use crate::error::Error;
 use crate::service::Service;
-use crate::service::parses::{LoadedParse, ParseFile, photograph, view};
+use crate::service::parses::{LoadedParse, ParseFile, photograph, read_frames, read_photograph, view};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,7 +15,13 @@ use uniground_core::models::neural::{DualEncoder, Role};
 use uniground_core::models::{attributes, with_causes};
 use uniground_core::render::{RenderScene, Shot};
 use uniground_core::scene::{Embeddings, Instance, InstanceId, View};
+use uniground_core::scene_parsing::ParseError;
 use uniground_core::scene_parsing::evidence::Picture;
+use uniground_core::scene_parsing::pointed::{Place, Pointing};
+use uniground_types::settings::ParsingSettings;
+
+/// Instances that questions may add to a parse.
+const MOST_FOUND: usize = 500;
 
 /// A parse, and the service that keeps it.
 pub struct StoredScene {
@@ -82,6 +88,11 @@ impl SceneSource for StoredScene {
 
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
         let folder = self.folder();
+        if instance.found_for.is_some() {
+            let taken = |view: &View| read_photograph(&folder, &self.parse.content, view.frame);
+            let shots = instance.views.iter().filter_map(|view| Some(Shot::of_view(taken(view)?, view)));
+            return shots.take(most).collect();
+        }
         let shots = instance.views.iter().enumerate().filter_map(|(k, view)| shot(&folder, instance.id, k, view));
         shots.take(most).collect()
     }
@@ -96,6 +107,38 @@ impl SceneSource for StoredScene {
 
     async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), Error> {
         self.service.keep_names(&self.parse.id, names).await
+    }
+
+    fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, Error> {
+        let Some(frames) = read_frames(&self.folder(), &self.parse.content)? else { return Ok(None) };
+        let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
+        // As the parse was made: the same masks, or the built-in ones.
+        let models = &self.service.models;
+        let segmenter = models
+            .segmenters
+            .first()
+            .filter(|_| models.label(Role::Masks).as_deref() == Some(&*self.parse.masks));
+        let pointing = Pointing { cloud: &render_scene.cloud, frames: &frames, segmenter: segmenter.map(|s| &**s), settings: &settings };
+        match pointing.find(place, &self.parse.instances, is_not) {
+            Ok(found) => Ok(found),
+            // The scan's own pictures are not needed for an answer.
+            Err(ParseError::Frame(error)) => {
+                tracing::warn!(parse_id = self.parse.id, error = &error as &dyn std::error::Error, "a photograph can not be looked into");
+                Ok(None)
+            }
+            Err(error) => Err(error.into()),
+        }
+    }
+
+    async fn keep_found(self: &Arc<Self>, found: Instance) -> Result<(Arc<Self>, InstanceId), Error> {
+        let Some(id) = self.service.store.insert_found(&self.parse.id, &found, MOST_FOUND).await? else {
+            // For this question alone.
+            let (mut parse, id) = (LoadedParse::clone(&self.parse), InstanceId(self.parse.instances.len() as u32 + 1));
+            parse.instances.push(Instance { id, ..found });
+            return Ok((Self::new(self.service.clone(), Arc::new(parse)), id));
+        };
+        self.service.parses.loaded.remove(&self.parse.id);
+        Ok((Self::new(self.service.clone(), self.service.loaded_parse(&self.parse.id).await?), id))
     }
 
     async fn compute<T: Send + 'static>(

@@ -3,9 +3,18 @@
 use super::{Service, parses};
 use crate::error::Error;
 use camino::Utf8PathBuf;
+use tokio::task::spawn_blocking;
 use uniground_core::scene::{Instance, InstanceId};
-use uniground_core::scene_parsing::evidence::Picture;
+use uniground_core::scene_parsing::evidence::{self, Picture};
 use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture};
+
+/// A picture of an instance.
+pub enum EvidenceFile {
+    /// A JPEG file.
+    Stored(Utf8PathBuf),
+    /// The bytes of one.
+    Drawn(Vec<u8>),
+}
 
 /// An instance as callers see it.
 fn view_of(instance: Instance, model_name: Option<String>) -> InstanceView {
@@ -27,6 +36,7 @@ fn view_of(instance: Instance, model_name: Option<String>) -> InstanceView {
         views,
         names,
         given_name: _, // told as the label
+        found_for,
     } = instance;
     let colours = colours.dominant().into_iter().map(|(name, share)| (name.word().to_owned(), share)).collect();
     InstanceView {
@@ -46,6 +56,7 @@ fn view_of(instance: Instance, model_name: Option<String>) -> InstanceView {
         height_above_floor_m,
         names,
         model_name: model_name.filter(|name| !name.is_empty()),
+        found_for,
         views,
     }
 }
@@ -82,11 +93,11 @@ impl Service {
         Ok(view_of(instance, name))
     }
 
-    /// Path of an evidence picture.
+    /// An evidence picture.
     ///
     /// # Errors
     /// [`Error::ViewNotFound`] and those of [`instance`](Self::instance).
-    pub async fn view_picture(&self, scene_id: &str, id: InstanceId, view: u32, picture: ViewPicture) -> Result<Utf8PathBuf, Error> {
+    pub async fn view_picture(&self, scene_id: &str, id: InstanceId, view: u32, picture: ViewPicture) -> Result<EvidenceFile, Error> {
         let (parse_id, instance) = self.stored_instance(scene_id, id).await?;
         let views = instance.views.len();
         if view as usize >= views {
@@ -96,8 +107,16 @@ impl Service {
             ViewPicture::Frame => Picture::Frame,
             ViewPicture::Crop => Picture::Crop,
         };
-        self.sound_file(&parse_id, parses::view(&self.store.blobs.parse(&parse_id), id, view as usize, picture))
-            .await
+        let folder = self.store.blobs.parse(&parse_id);
+        if instance.found_for.is_none() {
+            return Ok(EvidenceFile::Stored(self.sound_file(&parse_id, parses::view(&folder, id, view as usize, picture)).await?));
+        }
+        // A parse's folder never changes: what was found since is drawn when it is looked at.
+        let content = self.loaded_parse(&parse_id).await?.content.clone();
+        let seen = instance.views[view as usize].clone();
+        let drawn =
+            spawn_blocking(move || Some(evidence::picture(&parses::read_photograph(&folder, &content, seen.frame)?, &seen, picture)));
+        drawn.await?.map(EvidenceFile::Drawn).ok_or(Error::ViewNotFound { id, view, views })
     }
 
     /// An instance of a scene's current parse, and the parse's id.

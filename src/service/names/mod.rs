@@ -115,7 +115,9 @@ impl Service {
         let Some(model) = self.store.name_index(parse_id, naming::NAMING_VERSION).await? else { return Ok(None) };
         let mut names = self.store.instance_names(parse_id, &model, naming::NAMING_VERSION).await?;
         for instance in instances {
-            instance.given_name = names.remove(&instance.id.0).filter(|name| !name.is_empty());
+            // What was found for a question has a name of its own.
+            let own = instance.given_name.take();
+            instance.given_name = names.remove(&instance.id.0).filter(|name| !name.is_empty()).or(own);
         }
         Ok(Some(naming::namer(&model)))
     }

@@ -1,5 +1,6 @@
 //! Parses that stay in memory, so that a question does not wait for the database or a decoder.
 
+use camino::Utf8PathBuf;
 use std::sync::Arc;
 use std::time::SystemTime;
 use uniground_core::geometry::boxes::Aabb;
@@ -9,8 +10,11 @@ use uniground_core::render::RenderScene;
 use uniground_core::scene::{Embeddings, Instance};
 
 /// A parse as stage 2 needs it.
+#[derive(Clone)]
 pub struct LoadedParse {
     pub id: String,
+    /// The unpacked scan.
+    pub content: Utf8PathBuf,
     /// With the names of the index.
     pub instances: Vec<Instance>,
     pub names: NameIndex,

@@ -3,12 +3,13 @@
 use crate::error::Error;
 use crate::store::Scratch;
 use camino::{Utf8Path, Utf8PathBuf};
+use image::RgbImage;
 use std::collections::BTreeSet;
 use std::fs::{self, File};
 use std::io;
 use uniground_core::parse::ParsedScan;
 use uniground_core::progress::Progress;
-use uniground_core::scene::{Embeddings, FrameIndex, InstanceId, write_cloud_ply, write_instances_ply};
+use uniground_core::scene::{Embeddings, FrameIndex, FrameRef, InstanceId, write_cloud_ply, write_instances_ply};
 use uniground_core::scene_parsing::evidence::{self, EvidencePicture, Picture};
 use uniground_core::scene_parsing::{ParseError, report_pictures};
 
@@ -36,6 +37,7 @@ impl ParseFile {
 
 const NORMS: &str = "embedding_norms.npy";
 const VIEWS: &str = "views";
+const FRAMES: &str = "frames.json";
 
 /// An evidence picture of an instance; `view` counts from 0.
 pub fn view(parse: &Utf8Path, instance: InstanceId, view: usize, picture: Picture) -> Utf8PathBuf {
@@ -55,6 +57,44 @@ pub fn photograph(parse: &Utf8Path, frame: FrameIndex) -> Utf8PathBuf {
     parse.join(VIEWS).join(format!("photograph-{frame}"))
 }
 
+/// A photograph that a view is of, in colour: kept beside the parse, or the scan's own; `None`, and a line in the log, where it can not be read.
+pub fn read_photograph(parse: &Utf8Path, content: &Utf8Path, frame: FrameIndex) -> Option<RgbImage> {
+    let kept = photograph(parse, frame);
+    let of_scan = || Some(read_frames(parse, content).ok()??.into_iter().find(|f| f.index == frame)?.colour);
+    let file = if kept.exists() { kept } else { of_scan()? };
+    let decoded = fs::read(&file)
+        .map_err(|error| error.to_string())
+        .and_then(|bytes| image::load_from_memory(&bytes).map_err(|error| error.to_string()));
+    decoded
+        .map(image::DynamicImage::into_rgb8)
+        .inspect_err(|error| tracing::warn!(%file, error, "a photograph can not be read"))
+        .ok()
+}
+
+/// The frames of a parse, with their picture files in the content's folder; `None` in parses that were made before frames were kept.
+///
+/// # Errors
+/// An unreadable file.
+pub fn read_frames(parse: &Utf8Path, content: &Utf8Path) -> Result<Option<Vec<FrameRef>>, Error> {
+    let kept: Vec<FrameRef> = match fs::read(parse.join(FRAMES)) {
+        Ok(bytes) => serde_json::from_slice(&bytes)?,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(error) => return Err(error.into()),
+    };
+    let placed = |frame: FrameRef| FrameRef { colour: content.join(&frame.colour), depth: content.join(&frame.depth), ..frame };
+    Ok(Some(kept.into_iter().map(placed).collect()))
+}
+
+/// Paths are kept relative to the content, whose folder may lie elsewhere tomorrow.
+fn write_frames(frames: &[FrameRef], content: &Utf8Path, parse: &Utf8Path) -> Result<(), Error> {
+    let relative = |path: &Utf8Path| path.strip_prefix(content).unwrap_or(path).to_owned();
+    let kept: Vec<FrameRef> = frames
+        .iter()
+        .map(|frame| FrameRef { colour: relative(&frame.colour), depth: relative(&frame.depth), ..frame.clone() })
+        .collect();
+    Ok(fs::write(parse.join(FRAMES), serde_json::to_vec(&kept)?)?)
+}
+
 /// What an encoder has seen, where one took part.
 ///
 /// # Errors
@@ -71,11 +111,12 @@ pub async fn read_embeddings(parse: &Utf8Path) -> Result<Option<Embeddings>, Err
 ///
 /// # Errors
 /// Those of the file system and of frames; cancellation.
-pub fn write(scan: &ParsedScan, folder: &Scratch, writing: &Progress, drawing: &Progress) -> Result<(), Error> {
+pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &Progress, drawing: &Progress) -> Result<(), Error> {
     let (parsed, parse) = (&scan.scene, folder.path());
     writing.report("write_clouds", 0.0).map_err(ParseError::from)?;
     write_cloud_ply(&parsed.cloud, File::create(ParseFile::Cloud.of(parse))?)?;
     write_instances_ply(parsed, File::create(ParseFile::Instances.of(parse))?)?;
+    write_frames(&scan.frames, content, parse)?;
     if let Some(embeddings) = &parsed.embeddings {
         embeddings.write_rows(File::create(ParseFile::Embeddings.of(parse))?)?;
         embeddings.write_norms(File::create(parse.join(NORMS))?)?;

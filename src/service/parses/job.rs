@@ -135,6 +135,6 @@ fn parse_content(
     // Networks take nearly all of the time where they take part.
     let (parsed_by, drawn_by) = if models.loaded.is_empty() { (0.8, 0.85) } else { (0.98, 0.985) };
     let scan = parse_scan(content, settings, models, checkpoints, &progress.part(0.0, parsed_by))?;
-    files::write(&scan, folder, &progress.part(parsed_by, drawn_by), &progress.part(drawn_by, 1.0))?;
+    files::write(&scan, content, folder, &progress.part(parsed_by, drawn_by), &progress.part(drawn_by, 1.0))?;
     Ok(scan)
 }

@@ -7,7 +7,7 @@ mod report_files;
 mod reports;
 
 pub use cache::{LoadedParse, ParseCache};
-pub use files::{ParseFile, photograph, view};
+pub use files::{ParseFile, photograph, read_frames, read_photograph, view};
 pub use job::ParseJob;
 
 use super::{Caller, Service};
@@ -177,13 +177,18 @@ impl Service {
             return Ok(parse);
         }
         let gone = || Error::SceneNotFound { id: parse_id.into() };
-        let ParseRecord { models, extent, .. } = self.store.parse(parse_id).await?.ok_or_else(gone)?.record();
+        let row = self.store.parse(parse_id).await?.ok_or_else(gone)?;
+        let ParseRecord { models, extent, .. } = row.record();
         let mut instances = self.store.instances(parse_id).await?;
         let named_by = self.give_names(parse_id, &mut instances).await?;
         let around = || Aabb::around(&instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>());
         let parse = Arc::new(LoadedParse {
             id: parse_id.to_owned(),
-            embeddings: files::read_embeddings(&self.store.blobs.parse(parse_id)).await?,
+            content: self.store.blobs.content(&row.content_hash),
+            // What was found since no encoder has seen.
+            embeddings: files::read_embeddings(&self.store.blobs.parse(parse_id))
+                .await?
+                .map(|seen| seen.padded_to(instances.len())),
             extent: extent.or_else(around).ok_or_else(gone)?,
             names: NameIndex::of(&instances),
             named_by,

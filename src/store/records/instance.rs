@@ -38,6 +38,8 @@ pub struct InstanceRecord {
     names: Vec<NameGuess>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     given_name: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    found_for: Option<String>,
 }
 
 impl From<&Instance> for InstanceRecord {
@@ -60,6 +62,7 @@ impl From<&Instance> for InstanceRecord {
             views,
             names,
             given_name,
+            found_for,
         } = instance.clone();
         Self {
             id,
@@ -78,6 +81,7 @@ impl From<&Instance> for InstanceRecord {
             views,
             names,
             given_name,
+            found_for,
         }
     }
 }
@@ -101,6 +105,7 @@ impl From<InstanceRecord> for Instance {
             views,
             names,
             given_name,
+            found_for,
         } = record;
         Self {
             id,
@@ -119,6 +124,7 @@ impl From<InstanceRecord> for Instance {
             views,
             names,
             given_name,
+            found_for,
         }
     }
 }

@@ -4,12 +4,14 @@ use super::names::NameIndex;
 use super::picture_cache::PictureCache;
 use super::scene_source::{QuestionError, SceneSource};
 use crate::geometry::boxes::Aabb;
-use crate::models::neural::{DualEncoder, Models};
+use crate::models::neural::{DualEncoder, Models, Segmenter};
 use crate::parse::ParsedScan;
 use crate::render::{RenderScene, Shot};
-use crate::scene::{Embeddings, FrameRef, Instance, View};
+use crate::scene::{Embeddings, FrameRef, Instance, InstanceId, View};
+use crate::scene_parsing::pointed::{Place, Pointing};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
+use uniground_types::settings::ParsingSettings;
 
 /// What all questions about a scene share.
 pub struct Album {
@@ -23,6 +25,8 @@ pub struct Album {
     pub encoder: String,
     /// The scan's frames. Their picture files must stay in place as long as a model may be shown them.
     pub frames: Vec<FrameRef>,
+    /// Cuts out what a model saw in a photograph; `None`: the built-in masks do.
+    pub segmenter: Option<Arc<Segmenter>>,
     pictures: PictureCache,
     /// Names a model gave.
     names: Mutex<BTreeMap<u32, String>>,
@@ -46,7 +50,14 @@ impl Album {
         frames: Vec<FrameRef>,
     ) -> Self {
         let render_scene = Arc::new(render_scene);
-        Self { extent, render_scene, seen, encoder, frames, pictures: PictureCache::default(), names: Mutex::default() }
+        let (pictures, names) = (PictureCache::default(), Mutex::default());
+        Self { extent, render_scene, seen, encoder, frames, segmenter: None, pictures, names }
+    }
+
+    /// With a segmenter that cuts out what a model saw in a photograph.
+    #[must_use]
+    pub fn with_segmenter(self, segmenter: Option<Arc<Segmenter>>) -> Self {
+        Self { segmenter, ..self }
     }
 
     /// These instances in this album.
@@ -63,7 +74,8 @@ impl AlbumScene {
         let ParsedScan { scene, frames, models: used, .. } = scan;
         let seen = models.encoder.clone().zip(scene.embeddings);
         let render_scene = RenderScene::of_parsed(scene.cloud, &scene.instances);
-        Arc::new(Album::new(scene.extent, render_scene, seen, used.encoder, frames)).scene(scene.instances.into())
+        let album = Album::new(scene.extent, render_scene, seen, used.encoder, frames);
+        Arc::new(album.with_segmenter(models.segmenters.first().cloned())).scene(scene.instances.into())
     }
 }
 
@@ -113,6 +125,20 @@ impl SceneSource for AlbumScene {
     async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), QuestionError> {
         self.album.names.lock().unwrap_or_else(PoisonError::into_inner).extend(names.clone());
         Ok(())
+    }
+
+    fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, QuestionError> {
+        let Album { render_scene, frames, segmenter, .. } = &*self.album;
+        let settings = ParsingSettings::default();
+        let pointing = Pointing { cloud: &render_scene.cloud, frames, segmenter: segmenter.as_deref(), settings: &settings };
+        Ok(pointing.find(place, &self.instances, is_not)?)
+    }
+
+    /// For this question only: what one question finds does not change what another is answered in an evaluation.
+    async fn keep_found(self: &Arc<Self>, found: Instance) -> Result<(Arc<Self>, InstanceId), QuestionError> {
+        let id = found.id;
+        let instances: Vec<Instance> = self.instances.iter().cloned().chain([found]).collect();
+        Ok((self.album.scene(instances.into()), id))
     }
 
     /// At once, on the thread that drives the question.

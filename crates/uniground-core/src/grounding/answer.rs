@@ -3,6 +3,7 @@
 use super::query::{Meaning, ParsedQuery, Phrase, Quantity, Superlative};
 use super::reasoner::Verdict;
 use super::shortlist;
+use super::vlm::PromptContext;
 use super::{Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Question, SceneView, Seen, SixFields, Status, Target, Timings};
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::colour::ColourName;
@@ -124,6 +125,19 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
         parsed_query: summarise(parsed),
         direction_convention: if question.observer.is_some() { "observer".into() } else { question.convention.name().into() },
         timings_ms,
+    }
+}
+
+impl Grounding {
+    /// Takes up as candidates what was found since the others were chosen.
+    pub(super) fn offer(&mut self, context: &PromptContext, instances: &[Instance]) {
+        for (shown, rank) in context.candidates.iter().zip(1..) {
+            let Some(instance) = instances.get(shown.id.0 as usize - 1).filter(|i| i.found_for.is_some()) else { continue };
+            if self.candidates.iter().all(|c| c.id != shown.id) {
+                self.candidates.push(Candidate { id: shown.id, rank, score: shown.score, aabb: shown.aabb });
+                self.answer.candidate_names.insert(shown.id.0, described(instance));
+            }
+        }
     }
 }
 

@@ -22,6 +22,7 @@ pub mod relations;
 mod scene_source;
 mod shortlist;
 pub mod solid;
+mod unlisted;
 pub mod vlm;
 
 pub use answer::Grounding;

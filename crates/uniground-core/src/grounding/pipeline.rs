@@ -11,6 +11,7 @@ use super::appearance::{Appearance, ShortlistScoring};
 use super::query::{BuiltinParser, ParsedQuery, QueryParser, parse};
 use super::reasoner::builtin;
 pub use super::scene_source::{QuestionError, SceneSource};
+use super::unlisted::{Found, look_up};
 use super::vlm::{
     self, Conversation, Decision, EvidenceMode, MAX_CALLS, Options, Outcome, PictureSettings, PromptVersion, Undecided, naming,
 };
@@ -84,7 +85,7 @@ pub struct Answered {
     pub degraded: bool,
     /// What went wrong on the way, in order.
     pub corrections: Vec<String>,
-    /// Every call of a model, in order: at most [`MAX_CALLS`].
+    /// Every call of a model, in order: at most [`MAX_CALLS`], and one more where the model saw what was not listed.
     pub calls: Vec<CallRecord>,
 }
 
@@ -166,7 +167,7 @@ async fn reviewed<S: SceneSource>(
     };
     let (context, evidence, unnamed) = source
         .compute(move |source| {
-            let evidence = vlm::collect(source, &context, &PictureSettings::of(options.evidence))?;
+            let evidence = vlm::collect(source, &context, &PictureSettings::of(options))?;
             let mut unnamed = context.unnamed(&known, options.evidence);
             unnamed.truncate(naming::PER_SHEET);
             let unnamed = naming::sheet_of(source, 1, &unnamed)?;
@@ -174,15 +175,22 @@ async fn reviewed<S: SceneSource>(
         })
         .await?;
     let evidence_took = start.elapsed().saturating_sub(before);
-    let conversation = Conversation { context: &context, evidence: &evidence, options, names, unnamed };
+    let conversation = Conversation { context: &context, evidence: &evidence, options, names: names.clone(), unnamed };
     let decision = vlm::decide(&conversation, &mut session).await;
     let (Ok(Decision { new_names, .. }) | Err(Undecided { new_names, .. })) = &decision;
     if !new_names.is_empty() {
         source.keep_names(new_names).await?;
     }
+    let mut shown = Shown { source: source.clone(), context, evidence, options, names };
+    let decision = match decision {
+        Ok(decision) => Ok(shown.looked_up(decision, &mut session).await?),
+        undecided => undecided,
+    };
     calls.extend(session.into_records());
+    let Shown { source, context, .. } = shown;
     match decision {
         Ok(decision) => {
+            answered.grounding.offer(&context, source.instances());
             decision.apply(&mut answered.grounding, &context, source.instances());
             // The geometry had to choose, because the model did not.
             answered.degraded |= matches!(decision.outcome, Outcome::Projected(_) | Outcome::Unknown);
@@ -203,6 +211,56 @@ async fn reviewed<S: SceneSource>(
     timings.reason += ms(total.saturating_sub(before).saturating_sub(evidence_took));
     timings.total = ms(total);
     Ok(())
+}
+
+/// What a model was shown, and of which scene.
+struct Shown<S> {
+    source: Arc<S>,
+    context: vlm::PromptContext,
+    evidence: vlm::VisualEvidence,
+    options: Options,
+    names: BTreeMap<u32, String>,
+}
+
+impl<S: SceneSource> Shown<S> {
+    /// Where a model saw in a photograph what was not listed: that place as an instance, and the model asked again with it. What was decided
+    /// before stands where nothing comes of that.
+    async fn looked_up(&mut self, decision: Decision, session: &mut Session<'_>) -> Result<Decision, S::Error> {
+        let Some(seen) = decision.seen.clone().filter(|_| decision.outcome == Outcome::NotListed) else { return Ok(decision) };
+        let (context, evidence, settings) = (self.context.clone(), self.evidence.clone(), PictureSettings::of(self.options));
+        let place = format!("the model saw \"{}\" in {}, which is not listed", seen.name, seen.picture);
+        let found = self.source.compute(move |source| look_up(source, &context, &seen, &evidence, &settings)).await?;
+        match found {
+            None => Ok(decision),
+            Some(Found::Known(id)) => Ok(decision.found(id, format!("{place}: it is instance {id}"))),
+            Some(Found::New(found)) => {
+                let (source, id) = self.source.keep_found(*found).await?;
+                self.source = source;
+                let why = format!("{place}: instance {id} was made of it");
+                self.asked_again(decision.noted(why), id, session).await
+            }
+        }
+    }
+
+    /// Asks again with an instance that was found; what was decided before stands where the model chooses nothing of the list.
+    async fn asked_again(&mut self, before: Decision, id: InstanceId, session: &mut Session<'_>) -> Result<Decision, S::Error> {
+        let Some(found) = self.source.instances().get(id.0 as usize - 1) else { return Ok(before) };
+        let (context, settings) = (self.context.clone().with_found(found), PictureSettings::of(self.options));
+        let (context, evidence) = self
+            .source
+            .compute(move |source| vlm::collect(source, &context, &settings).map(|evidence| (context, evidence)))
+            .await?;
+        session.allow_one_more();
+        let conversation =
+            Conversation { context: &context, evidence: &evidence, options: self.options, names: self.names.clone(), unnamed: None };
+        let again = vlm::decide(&conversation, session).await;
+        (self.context, self.evidence) = (context, evidence);
+        Ok(match again {
+            Ok(again) if matches!(again.outcome, Outcome::Chosen(_)) => before.replaced_by(again),
+            Ok(_) => before,
+            Err(undecided) => before.noted(format!("asking again failed: {undecided}")),
+        })
+    }
 }
 
 /// The first of two steps: the candidates that remain when the model has seen one photograph of each. A call that fails is told by the

@@ -7,6 +7,8 @@ use crate::models::chat::AskError;
 use crate::models::neural::{DualEncoder, ModelError};
 use crate::render::{RenderScene, Shot, close_ups};
 use crate::scene::{Embeddings, Instance, InstanceId};
+use crate::scene_parsing::ParseError;
+use crate::scene_parsing::pointed::Place;
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::sync::Arc;
@@ -52,6 +54,16 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
     /// Keeps such names; those given before stay.
     fn keep_names(&self, names: &BTreeMap<u32, String>) -> impl Future<Output = Result<(), Self::Error>> + Send;
 
+    /// What lies at a place of a photograph, cut out as the next of the instances, and is none of these; `None` where nothing can be.
+    ///
+    /// # Errors
+    /// A photograph can not be read, or a segmenter fails.
+    fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, Self::Error>;
+
+    /// Keeps an instance that was found for a question: the scene with it, in which it is the last, or the one that was kept for the same
+    /// thing meanwhile; and its id.
+    fn keep_found(self: &Arc<Self>, found: Instance) -> impl Future<Output = Result<(Arc<Self>, InstanceId), Self::Error>> + Send;
+
     /// Runs a step of computing, on a thread that it may keep busy.
     ///
     /// # Errors
@@ -76,6 +88,9 @@ pub enum QuestionError {
     /// The encoder failed.
     #[error(transparent)]
     Encoder(#[from] ModelError),
+    /// What a model saw in a photograph could not be looked up.
+    #[error(transparent)]
+    Photograph(#[from] ParseError),
     /// The reviewing model could not be asked.
     #[error(transparent)]
     Review(#[from] AskError),

@@ -38,6 +38,7 @@ pub fn close_ups(render_scene: &RenderScene, aabb: &Aabb) -> Vec<Shot> {
                 frame: drawn(render_scene, &far, aabb),
                 place: [low(|p| p.u), low(|p| p.v), high(|p| p.u), high(|p| p.v)],
                 mask: None,
+                taken: None,
             }
         })
         .collect()

@@ -4,6 +4,7 @@
 use super::outline::{Around, draw_outline, outline_reach};
 use super::shot::Shot;
 use super::text;
+use crate::scene::FrameIndex;
 use fast_image_resize::images::Image;
 use fast_image_resize::{FilterType, PixelType, ResizeAlg, ResizeOptions, Resizer};
 use image::{Rgb, RgbImage, imageops};
@@ -31,37 +32,96 @@ const TAG_SHARE: f32 = 0.0625;
 const CROP_SHARE: f32 = 0.5;
 const GAP_PX: u32 = 4;
 
-impl Collage {
-    /// Draws a collage; without shots only the tag, which says so.
+/// A photograph, or a piece of one, in a picture made of several.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Tile {
+    /// Where it is: left, top, width, height, pixels.
+    pub area: Area,
+    /// The frame it was taken with.
+    pub frame: FrameIndex,
+    /// What of the frame's colour picture it shows: left, top, right, bottom, pixels.
+    pub shows: [u32; 4],
+}
+
+/// Left, top, width, height, pixels.
+type Area = (u32, u32, u32, u32);
+
+impl Tile {
+    /// Column and row of the frame's colour picture at a position of the whole picture; `None` beside the tile.
     #[must_use]
-    pub fn draw(&self, id: u32, shots: &[Shot]) -> RgbImage {
+    pub fn place(&self, (x, y): (f32, f32)) -> Option<(f32, f32)> {
+        let (left, top, width, height) = self.area;
+        let share = ((x - left as f32) / width as f32, (y - top as f32) / height as f32);
+        let [l, t, r, b] = self.shows.map(|v| v as f32);
+        let inside = (0.0..=1.0).contains(&share.0) && (0.0..=1.0).contains(&share.1);
+        inside.then_some((l + share.0 * (r - l), t + share.1 * (b - t)))
+    }
+}
+
+/// Where everything on a collage is.
+struct Layout {
+    size: (u32, u32),
+    tag_height: u32,
+    /// The crop and the photograph of each shot.
+    areas: Vec<[Area; 2]>,
+}
+
+impl Collage {
+    fn layout(&self, shots: &[Shot]) -> Layout {
         let height = ((self.max_pixels as f32 / 2.0).sqrt() as u32).clamp(64, 4096);
-        let shots = &shots[..shots.len().min(self.max_shots)];
         let cell = match shots.len() {
             0 | 1 => height,
             2 => height * 3 / 4,
             count => height * 2 / count as u32,
         };
-        let mut sheet = RgbImage::from_pixel(cell * shots.len().max(1) as u32, height, SHEET);
         let tag_height = ((height as f32 * TAG_SHARE) as u32).max(18);
+        let crop_height = ((height - tag_height) as f32 * CROP_SHARE) as u32;
+        let top = tag_height + crop_height;
+        let areas = |(shot, x): (&Shot, u32)| {
+            let crop = fitted(shot.crop.dimensions(), (x, tag_height), (cell - GAP_PX, crop_height - GAP_PX));
+            [crop, fitted(shot.frame.dimensions(), (x, top), (cell - GAP_PX, height - top))]
+        };
+        let areas = shots.iter().zip((0..).map(|i| i * cell)).map(areas).collect();
+        Layout { size: (cell * shots.len().max(1) as u32, height), tag_height, areas }
+    }
+
+    fn shown<'a>(&self, shots: &'a [Shot]) -> &'a [Shot] {
+        &shots[..shots.len().min(self.max_shots)]
+    }
+
+    /// Where the photographs are on the collage of these shots, those that frames were taken with.
+    #[must_use]
+    pub fn tiles(&self, shots: &[Shot]) -> Vec<Tile> {
+        let shots = self.shown(shots);
+        let tiles = |(shot, [crop, whole]): (&Shot, [Area; 2])| {
+            let (width, height) = shot.frame.dimensions();
+            let both = |(frame, shows)| [Tile { area: crop, frame, shows }, Tile { area: whole, frame, shows: [0, 0, width, height] }];
+            shot.taken.map(both)
+        };
+        shots.iter().zip(self.layout(shots).areas).filter_map(tiles).flatten().collect()
+    }
+
+    /// Draws a collage; without shots only the tag, which says so.
+    #[must_use]
+    pub fn draw(&self, id: u32, shots: &[Shot]) -> RgbImage {
+        let shots = self.shown(shots);
+        let Layout { size, tag_height, areas } = self.layout(shots);
+        let mut sheet = RgbImage::from_pixel(size.0, size.1, SHEET);
         let tag = if shots.is_empty() { format!("ID {id}: no photograph shows it") } else { format!("ID {id}") };
         self::tag(&mut sheet, (0, 0), tag_height, &tag);
-        let crop_height = ((height - tag_height) as f32 * CROP_SHARE) as u32;
-        for (i, shot) in shots.iter().enumerate() {
-            let x = i as u32 * cell;
-            place_crop(&mut sheet, shot, (x, tag_height), (cell - GAP_PX, crop_height - GAP_PX));
-            let top = tag_height + crop_height;
-            let (left, upper, fitted) = place(&mut sheet, &shot.frame, (x, top), (cell - GAP_PX, height - top));
+        for (shot, [crop, area]) in shots.iter().zip(areas) {
+            put_crop(&mut sheet, shot, crop);
+            put(&mut sheet, &shot.frame, area);
+            let (left, upper, width, height) = area;
             let at = |share: f32, length: u32| share * length as f32;
             let [l, t, r, b] = shot.place;
-            let area = (left, upper, fitted.0, fitted.1);
             // The box leaves room for the outline.
             let mut room = 0.0;
             if let Some((mask, _)) = &shot.mask {
                 draw_outline(&mut sheet, area, mask, shot.place, Around::Kept);
-                room = outline_reach(fitted.0, fitted.1) as f32;
+                room = outline_reach(width, height) as f32;
             }
-            let corner = |x: f32, y: f32, room: f32| (left as f32 + at(x, fitted.0) + room, upper as f32 + at(y, fitted.1) + room);
+            let corner = |x: f32, y: f32, room: f32| (left as f32 + at(x, width) + room, upper as f32 + at(y, height) + room);
             red_box(&mut sheet, area, corner(l, t, -room), corner(r, b, room));
         }
         sheet
@@ -74,12 +134,31 @@ pub fn mosaic(tiles: &[(u32, &Shot)], columns: u32, tile_px: u32) -> RgbImage {
     let rows = (tiles.len() as u32).div_ceil(columns.max(1)).max(1);
     let mut sheet = RgbImage::from_pixel(columns * tile_px, rows * tile_px, SHEET);
     let tag_height = (tile_px / 7).max(14);
-    for (i, (id, shot)) in tiles.iter().enumerate() {
-        let (x, y) = (i as u32 % columns * tile_px, i as u32 / columns * tile_px);
-        place_crop(&mut sheet, shot, (x, y + tag_height), (tile_px - GAP_PX, tile_px - tag_height - GAP_PX));
+    for ((id, shot), (x, y)) in tiles.iter().zip(corners(columns, tile_px)) {
+        put_crop(&mut sheet, shot, mosaic_area(shot, (x, y), tile_px));
         tag(&mut sheet, (x, y), tag_height, &format!("ID {id}"));
     }
     sheet
+}
+
+/// Where the photographs are on a [`mosaic`] of these shots, those that frames were taken with.
+#[must_use]
+pub fn mosaic_tiles(shots: &[&Shot], columns: u32, tile_px: u32) -> Vec<Tile> {
+    let tile = |(shot, corner): (&&Shot, (u32, u32))| {
+        let (frame, shows) = shot.taken?;
+        Some(Tile { area: mosaic_area(shot, corner, tile_px), frame, shows })
+    };
+    shots.iter().zip(corners(columns, tile_px)).filter_map(tile).collect()
+}
+
+/// Corners of the cells of a mosaic, row by row.
+fn corners(columns: u32, tile_px: u32) -> impl Iterator<Item = (u32, u32)> {
+    (0..).map(move |i: u32| (i % columns.max(1) * tile_px, i / columns.max(1) * tile_px))
+}
+
+fn mosaic_area(shot: &Shot, (x, y): (u32, u32), tile_px: u32) -> Area {
+    let tag_height = (tile_px / 7).max(14);
+    fitted(shot.crop.dimensions(), (x, y + tag_height), (tile_px - GAP_PX, tile_px - tag_height - GAP_PX))
 }
 
 /// White letters on dark, left aligned.
@@ -92,26 +171,26 @@ fn tag(sheet: &mut RgbImage, (x, y): (u32, u32), height: u32, words: &str) {
     text::draw(sheet, words, x as f32 + 6.0, y as f32 + height as f32 * 0.04, size_px, Rgb([255; 3]));
 }
 
-/// Puts the crop of a shot into a cell, its object outlined and the surroundings dimmed.
-fn place_crop(sheet: &mut RgbImage, shot: &Shot, at: (u32, u32), room: (u32, u32)) {
-    let (left, top, (width, height)) = place(sheet, &shot.crop, at, room);
+/// Puts the crop of a shot into an area, its object outlined and the surroundings dimmed.
+fn put_crop(sheet: &mut RgbImage, shot: &Shot, area: Area) {
+    put(sheet, &shot.crop, area);
     if let Some((mask, place)) = &shot.mask {
-        draw_outline(sheet, (left, top, width, height), mask, *place, Around::Dimmed);
+        draw_outline(sheet, area, mask, *place, Around::Dimmed);
     }
 }
 
-/// Puts a picture into the middle of a cell, as large as it fits; returns where it landed and its size there.
-fn place(sheet: &mut RgbImage, picture: &RgbImage, (x, y): (u32, u32), (width, height): (u32, u32)) -> (u32, u32, (u32, u32)) {
+fn put(sheet: &mut RgbImage, picture: &RgbImage, (left, top, width, height): Area) {
+    imageops::replace(sheet, &resized(picture, (width, height)), i64::from(left), i64::from(top));
+}
+
+/// The middle of a cell, as large as a picture of this size fits.
+fn fitted(picture: (u32, u32), (x, y): (u32, u32), (width, height): (u32, u32)) -> Area {
     /// Tiny crops are not blown up beyond this: there is nothing more to see.
     const MAX_ENLARGED: f32 = 4.0;
-    let scale = (width as f32 / picture.width() as f32)
-        .min(height as f32 / picture.height() as f32)
-        .min(MAX_ENLARGED);
+    let scale = (width as f32 / picture.0 as f32).min(height as f32 / picture.1 as f32).min(MAX_ENLARGED);
     let side = |length: u32, room: u32| ((length as f32 * scale).round() as u32).clamp(1, room);
-    let size = (side(picture.width(), width), side(picture.height(), height));
-    let (left, top) = (x + (width - size.0) / 2, y + (height - size.1) / 2);
-    imageops::replace(sheet, &resized(picture, size), i64::from(left), i64::from(top));
-    (left, top, size)
+    let size = (side(picture.0, width), side(picture.1, height));
+    (x + (width - size.0) / 2, y + (height - size.1) / 2, size.0, size.1)
 }
 
 fn resized(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
@@ -155,7 +234,7 @@ fn red_box(sheet: &mut RgbImage, (left, top, width, height): (u32, u32, u32, u32
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::CellMask;
+    use crate::scene::{CellMask, View};
 
     fn shot(width: u32, height: u32) -> Shot {
         Shot {
@@ -163,6 +242,7 @@ mod tests {
             frame: RgbImage::from_pixel(width, height, Rgb([120, 120, 120])),
             place: [0.25, 0.25, 0.5, 0.75],
             mask: None,
+            taken: None,
         }
     }
 
@@ -238,6 +318,33 @@ mod tests {
             frame.flat_map(|y| (0..512).map(move |x| (x, y))).all(|(x, y)| collage.get_pixel(x, y).0 != [79; 3]),
             "nothing is dimmed"
         );
+    }
+
+    /// A mark in a photograph is found again from where it is on the collage and on the sheet, in the crop and in the whole.
+    #[test]
+    fn a_place_on_a_collage_is_a_place_in_a_photograph() {
+        let mut photograph = RgbImage::from_pixel(640, 480, Rgb([120; 3]));
+        for (x, y) in (310..330).flat_map(|x| (210..230).map(move |y| (x, y))) {
+            photograph.put_pixel(x, y, Rgb([20, 220, 30]));
+        }
+        let view = View { frame: FrameIndex(7), visible_points: 9, box_px: [250, 180, 400, 300], mask: None };
+        let shots = vec![Shot { taken: None, ..shot(640, 480) }, Shot::of_view(photograph, &view)];
+        let collage = Collage::default();
+        let marks = |picture: &RgbImage, tiles: &[Tile]| {
+            let green = |p: &Rgb<u8>| p.0[1] > 150 && p.0[0] < 80;
+            let marked = picture
+                .enumerate_pixels()
+                .filter(|(_, _, p)| green(p))
+                .map(|(x, y, _)| (x as f32 + 0.5, y as f32 + 0.5));
+            let found: Vec<(f32, f32)> = marked.filter_map(|at| tiles.iter().find_map(|tile| tile.place(at))).collect();
+            assert!(found.iter().all(|(x, y)| (x - 320.0).abs() < 16.0 && (y - 220.0).abs() < 16.0), "{found:?}");
+            found.len()
+        };
+        let tiles = collage.tiles(&shots);
+        assert!(tiles.len() == 2 && tiles.iter().all(|tile| tile.frame.0 == 7));
+        assert!(marks(&collage.draw(3, &shots), &tiles) > 500);
+        let [first, second] = &shots[..] else { panic!("two shots") };
+        assert!(marks(&mosaic(&[(1, first), (2, second)], 1, 170), &mosaic_tiles(&[first, second], 1, 170)) > 100);
     }
 
     #[test]

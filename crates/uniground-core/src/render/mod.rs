@@ -19,7 +19,7 @@ use crate::scene::Camera;
 pub use camera::Orbit;
 pub use candidates::{GlobalView, Subjects};
 pub use close_up::close_ups;
-pub use collage::{Collage, mosaic};
+pub use collage::{Collage, Tile, mosaic, mosaic_tiles};
 pub use directions::DirectionWord;
 use image::{Pixel as _, Rgb, RgbImage};
 pub use jpeg::jpeg;

@@ -1,6 +1,6 @@
 //! A photograph as evidence: the whole of it, a crop of what it is about, and what of both shows that.
 
-use crate::scene::{CellMask, View};
+use crate::scene::{CellMask, FrameIndex, View};
 use image::{RgbImage, imageops};
 
 /// One photograph that shows a candidate.
@@ -14,6 +14,8 @@ pub struct Shot {
     pub place: [f32; 4],
     /// What of the candidate's place shows it, and that place in `crop`; `None` where it is not known, or drawn already.
     pub mask: Option<(CellMask, [f32; 4])>,
+    /// The frame the photograph was taken with, and what of it `crop` shows (left, top, right, bottom, pixels); `None` for other pictures.
+    pub taken: Option<(FrameIndex, [u32; 4])>,
 }
 
 /// A crop grows the tight box by this share of its width and height per side, so that the object is not cut at its rim.
@@ -26,7 +28,7 @@ impl Shot {
     #[must_use]
     pub fn new(crop: RgbImage, frame: RgbImage, box_px: [u32; 4]) -> Self {
         let place = shares(box_px, [0, 0, frame.width(), frame.height()]);
-        Self { crop, frame, place, mask: None }
+        Self { crop, frame, place, mask: None, taken: None }
     }
 
     /// A view and the photograph it is of.
@@ -35,7 +37,7 @@ impl Shot {
         let area = crop_area(view.box_px, photograph.dimensions());
         let crop = cut(&photograph, area);
         let mask = view.mask.as_ref().and_then(CellMask::unpacked).map(|mask| (mask, shares(view.box_px, area)));
-        Self { mask, ..Self::new(crop, photograph, view.box_px) }
+        Self { mask, taken: Some((view.frame, area)), ..Self::new(crop, photograph, view.box_px) }
     }
 
     /// Pixels of the photograph that show the candidate; without a mask, those of its box.

@@ -43,6 +43,15 @@ impl Embeddings {
         Self { norms, ..self }
     }
 
+    /// With so many instances: those at the end that are missing were not seen.
+    #[must_use]
+    pub fn padded_to(mut self, count: usize) -> Self {
+        let count = count.max(self.len());
+        self.rows.resize(count * self.dim, f16::ZERO);
+        self.norms.resize(count, Norms::default());
+        self
+    }
+
     /// Length of a row.
     #[must_use]
     pub fn dim(&self) -> usize {

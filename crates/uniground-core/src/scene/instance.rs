@@ -43,6 +43,9 @@ pub struct Instance {
     /// What somebody who has seen it calls it; trumps what the encoder makes of its measures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub given_name: Option<String>,
+    /// The question it was found for, when somebody saw it in a photograph; `None` for what stage 1 has found.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub found_for: Option<String>,
 }
 
 impl Instance {

@@ -67,6 +67,16 @@ pub fn render<E: From<ParseError> + Send>(
     )
 }
 
+/// One picture of a view, from the photograph it is of: a JPEG file.
+#[must_use]
+pub fn picture(colour: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
+    let [crop, frame] = pictures(colour, InstanceId(0), 0, seen);
+    match picture {
+        Picture::Crop => crop.jpeg,
+        Picture::Frame => frame.jpeg,
+    }
+}
+
 fn pictures(colour: &RgbImage, instance: InstanceId, view: usize, seen: &View) -> [EvidencePicture; 2] {
     let area = crop_area(seen.box_px, colour.dimensions());
     let (mut crop, mut boxed, mut around) = (cut(colour, area), colour.clone(), seen.box_px);

@@ -22,6 +22,7 @@ pub mod merging;
 pub mod outline;
 pub mod part_merging;
 pub mod planes;
+pub mod pointed;
 pub mod refinement;
 pub mod report_pictures;
 pub mod sharpness;

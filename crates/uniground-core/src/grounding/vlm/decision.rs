@@ -64,6 +64,27 @@ impl Decision {
         }
     }
 
+    /// What was seen, but not listed, is this instance of the scene.
+    #[must_use]
+    pub fn found(self, id: InstanceId, why: String) -> Self {
+        Self { outcome: Outcome::Chosen(id), seen: None, ..self.noted(why) }
+    }
+
+    /// With one more thing that happened on the way.
+    #[must_use]
+    pub fn noted(mut self, why: String) -> Self {
+        self.corrections.push(why);
+        self
+    }
+
+    /// What was decided after this, and what was wrong on the way to both.
+    #[must_use]
+    pub fn replaced_by(self, mut later: Self) -> Self {
+        later.corrections.splice(0..0, self.corrections);
+        later.new_names = self.new_names;
+        later
+    }
+
     /// A further call failed: whether what was said before is enough.
     pub(super) fn settle(&mut self, error: &AskError) -> bool {
         let enough = self.outcome != Outcome::Unknown;

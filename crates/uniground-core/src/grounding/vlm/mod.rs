@@ -97,7 +97,7 @@ pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) 
         };
         let mut reply = reply::read_answer(&text, &context.query, options.json);
         // The simple prompt asks for no format.
-        if options.ablation == Ablation::SimplePrompt && reply.predicted == Choice::Missing {
+        if options.is_simple() && reply.predicted == Choice::Missing {
             reply.predicted = reply::only_id(&text, |id| context.is_candidate(id)).map_or(Choice::Missing, Choice::Id);
         }
         names.extend(
@@ -111,7 +111,7 @@ pub async fn decide(conversation: &Conversation<'_>, session: &mut Session<'_>) 
         decision.take(reply, context, &sent);
         let Some(correction) = correction else { break };
         decision.corrections.push(told(&correction));
-        if session.calls_left() == 0 {
+        if session.calls_left() == 0 || options.ablation == Ablation::NoLoop {
             break;
         }
         looked_again |= matches!(correction, Correction::Inconsistent { .. });
@@ -127,7 +127,12 @@ impl Options {
     /// Whether names take part. They stand for photographs, so the ablation that leaves those out leaves out names as well.
     #[must_use]
     pub fn uses_names(self) -> bool {
-        self.evidence == EvidenceMode::CachedNames && self.ablation != Ablation::NoCandidate
+        self.evidence == EvidenceMode::CachedNames && !matches!(self.ablation, Ablation::NoCandidate | Ablation::RawRender)
+    }
+
+    /// Whether the prompt is the paper's bare one.
+    fn is_simple(self) -> bool {
+        matches!(self.ablation, Ablation::SimplePrompt | Ablation::RawRender)
     }
 }
 
@@ -145,11 +150,11 @@ impl Conversation<'_> {
         let mut shown = self.evidence.clone();
         match self.options.ablation {
             Ablation::NoGlobal => shown.global = None,
-            Ablation::NoCandidate => {
+            Ablation::NoCandidate | Ablation::RawRender => {
                 shown.collages.clear();
                 shown.sheets.clear();
             }
-            Ablation::Full | Ablation::SimplePrompt => {}
+            Ablation::Full | Ablation::SimplePrompt | Ablation::NoLoop => {}
         }
         if self.options.uses_names() {
             let needed = consistency::to_be_looked_at(self.context, names);
@@ -162,7 +167,8 @@ impl Conversation<'_> {
     fn shown_again(&self, correction: &Correction, shown: &VisualEvidence) -> VisualEvidence {
         match correction {
             Correction::Inconsistent { id, .. } => {
-                let of_chosen = self.evidence.collages.get_key_value(id).filter(|_| self.options.ablation != Ablation::NoCandidate);
+                let shows = !matches!(self.options.ablation, Ablation::NoCandidate | Ablation::RawRender);
+                let of_chosen = self.evidence.collages.get_key_value(id).filter(|_| shows);
                 let collages = of_chosen.map(|(id, p)| (*id, p.clone())).into_iter().collect();
                 VisualEvidence { global: shown.global.clone(), collages, sheets: shown.sheets.clone() }
             }

@@ -5,7 +5,7 @@ use super::visual_evidence::encoded;
 use crate::grounding::GivenName;
 use crate::grounding::scene_source::SceneSource;
 use crate::models::chat::{ChatRequest, Part, Picture};
-use crate::render::{Shot, mosaic};
+use crate::render::{Shot, Tile, mosaic, mosaic_tiles};
 use crate::scene::InstanceId;
 use std::collections::BTreeMap;
 
@@ -43,19 +43,32 @@ pub(super) fn contact_sheet<S: SceneSource>(source: &S, name: String, ids: &[Ins
     if ids.is_empty() {
         return Ok(None);
     }
-    let render_scene = source.render_scene()?;
-    let shots: Vec<_> = ids
-        .iter()
-        .filter_map(|&id| Some((id, source.shots(id, 1, &render_scene).into_iter().next()?)))
-        .filter(|(_, shot)| shot.covered_px() >= LEAST_PX)
-        .collect();
+    let shots = shots_of(source, ids)?;
     let seen = shots.iter().map(|(id, _)| id.0).collect();
     Ok((!shots.is_empty()).then(|| (sheet(name, &shots), seen)))
 }
 
+/// Where the photographs are on the sheet of these instances, all of which are on it.
+pub(super) fn tiles<S: SceneSource>(source: &S, ids: &[InstanceId]) -> Result<Vec<Tile>, S::Error> {
+    let shots = shots_of(source, ids)?;
+    let shots: Vec<&Shot> = shots.iter().map(|(_, shot)| shot).collect();
+    Ok(mosaic_tiles(&shots, columns(shots.len()), TILE_PX))
+}
+
+/// One photograph of each instance that can be seen well enough.
+fn shots_of<S: SceneSource>(source: &S, ids: &[InstanceId]) -> Result<Vec<(InstanceId, Shot)>, S::Error> {
+    let render_scene = source.render_scene()?;
+    let shots = ids.iter().filter_map(|&id| Some((id, source.shots(id, 1, &render_scene).into_iter().next()?)));
+    Ok(shots.filter(|(_, shot)| shot.covered_px() >= LEAST_PX).collect())
+}
+
+fn columns(tiles: usize) -> u32 {
+    COLUMNS.min(tiles as u32)
+}
+
 fn sheet(name: String, shots: &[(InstanceId, Shot)]) -> Picture {
     let tiles: Vec<_> = shots.iter().map(|(id, shot)| (id.0, shot)).collect();
-    encoded(name, &mosaic(&tiles, COLUMNS.min(tiles.len() as u32), TILE_PX))
+    encoded(name, &mosaic(&tiles, columns(tiles.len()), TILE_PX))
 }
 
 /// The question for one sheet.

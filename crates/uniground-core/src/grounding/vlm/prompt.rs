@@ -4,7 +4,7 @@
 use super::prompt_context::{PromptAnchor, PromptCandidate, PromptContext, axis};
 use super::reply::Field;
 use super::visual_evidence::VisualEvidence;
-use super::{Ablation, Conversation, PromptVersion};
+use super::{Conversation, PromptVersion};
 use crate::geometry::boxes::Aabb;
 use crate::models::chat::{ChatRequest, Part};
 use serde_json::{Value, json};
@@ -17,7 +17,7 @@ use std::fmt::Write;
 pub fn reasoner_name(model: &str, prompt: PromptVersion) -> String {
     let number = match prompt {
         PromptVersion::Paper => 2,
-        PromptVersion::Revised => 3,
+        PromptVersion::Revised => 4,
     };
     format!("{model} (prompt {number})")
 }
@@ -64,7 +64,7 @@ fn request(
     let (prompt, sheets) = (conversation.options.prompt, shown.sheets.iter().map(|(sheet, _)| sheet));
     let pictures = shown.global.iter().chain(shown.collages.values()).chain(sheets);
     let mut user: Vec<Part> = pictures.cloned().map(Part::Picture).collect();
-    if conversation.options.ablation == Ablation::SimplePrompt {
+    if conversation.options.is_simple() {
         let mut text = format!(
             "Query: {}\nCandidate Objects: {}\nPlease identify which object ID best matches the query and explain why.",
             quoted(&context.query),
@@ -214,9 +214,10 @@ fn protocol(shown: &VisualEvidence, prompt: PromptVersion) -> String {
         match prompt {
             PromptVersion::Paper => "4. Choose one candidate. Only if it is certain that no candidate can be meant, answer none.",
             PromptVersion::Revised => {
-                "4. Choose one candidate. One of another kind, or plainly of another colour, than the query says is not meant.\n\
-                 5. If no candidate is meant, look for the object in the images: where you see it, answer not listed and say where. Else \
-                 answer none."
+                "4. Choose one candidate. One of another kind, or plainly of another colour, than the query says is not meant. Where several \
+                 are pieces of the object, choose the one that holds most of it.\n\
+                 5. If no candidate is meant, look for the object in the images: where you see it, answer not listed and say where, in a \
+                 photograph rather than in the render. Else answer none."
             }
         }
     )

@@ -8,7 +8,7 @@ use crate::grounding::direction::Directions;
 use crate::grounding::query::{ParsedQuery, Phrase};
 use crate::grounding::{Grounding, ParsedQuerySummary};
 use crate::render::{BoxStyle, DirectionWord, LabelledBox, Subjects};
-use crate::scene::InstanceId;
+use crate::scene::{Instance, InstanceId};
 use std::collections::BTreeMap;
 
 /// A question and what is known before a model is asked.
@@ -146,6 +146,15 @@ impl PromptContext {
     #[must_use]
     pub fn without_shown_anchors(self) -> Self {
         Self { shown_anchors: Vec::new(), ..self }
+    }
+
+    /// With one more candidate, of which nothing is known but that a model saw it: the last of the scene's instances.
+    #[must_use]
+    pub fn with_found(mut self, found: &Instance) -> Self {
+        self.boxes.truncate(found.id.0 as usize - 1);
+        self.boxes.push(found.aabb);
+        self.candidates.push(PromptCandidate { id: found.id, score: 0.0, belief: 0.0, aabb: found.aabb });
+        self
     }
 
     /// With these candidates only, in their order.

@@ -1,11 +1,13 @@
 //! The pictures a model gets: the global render and a collage for every candidate.
 
-use super::{EvidenceMode, PromptContext, naming};
+use super::{Ablation, EvidenceMode, Options, PromptContext, naming};
 use crate::geometry::boxes::Aabb;
+use crate::grounding::Seen;
 use crate::grounding::scene_source::SceneSource;
 use crate::models::chat::Picture;
-use crate::render::{Collage, GlobalView, RenderScene, Shot, jpeg};
+use crate::render::{Collage, GlobalView, ROOM_VIEW, RenderScene, Shot, jpeg, scene_picture};
 use crate::scene::InstanceId;
+use crate::scene_parsing::pointed::Place;
 use image::RgbImage;
 use rayon::prelude::*;
 use std::collections::BTreeMap;
@@ -24,32 +26,42 @@ pub struct VisualEvidence {
 /// How large pictures are. Pictures cost money: a provider charges by the tile.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PictureSettings {
-    /// Views of the global render.
-    pub global: GlobalView,
+    /// The picture of the whole room.
+    pub global: Global,
     /// Size and number of photographs of a candidate's collage; `None` where contact sheets stand in for collages.
     pub collage: Option<Collage>,
+}
+
+/// A picture of the whole room.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Global {
+    /// Views from several sides with boxes, IDs and direction words.
+    Views(GlobalView),
+    /// One view with nothing drawn in.
+    Raw,
 }
 
 impl PictureSettings {
     /// Large pictures where they are all a model has to go by, smaller and fewer ones where names help.
     #[must_use]
-    pub fn of(evidence: EvidenceMode) -> Self {
-        match evidence {
+    pub fn of(options: Options) -> Self {
+        let settings = match options.evidence {
             EvidenceMode::Full | EvidenceMode::TwoStep => Self::full(),
             EvidenceMode::CachedNames => Self::frugal(),
             EvidenceMode::Sheet => Self { collage: None, ..Self::full() },
-        }
+        };
+        if options.ablation == Ablation::RawRender { Self { global: Global::Raw, ..settings } } else { settings }
     }
 
     /// Paper: three views of 680 x 680 pixels, collages of three pairs.
     fn full() -> Self {
-        Self { global: GlobalView::default(), collage: Some(Collage::default()) }
+        Self { global: Global::Views(GlobalView::default()), collage: Some(Collage::default()) }
     }
 
     /// For use with names: three views that take three of a provider's tiles, and one photograph of a candidate that takes one.
     fn frugal() -> Self {
         let collage = Some(Collage { max_shots: 1, ..Collage::default() });
-        Self { global: GlobalView { view_px: 508, ..GlobalView::default() }, collage }
+        Self { global: Global::Views(GlobalView { view_px: 508, ..GlobalView::default() }), collage }
     }
 }
 
@@ -59,7 +71,10 @@ impl PictureSettings {
 /// The cloud can not be read.
 pub fn collect<S: SceneSource>(source: &S, context: &PromptContext, settings: &PictureSettings) -> Result<VisualEvidence, S::Error> {
     let (cache, scene) = source.pictures();
-    let key_of_global = format!("{scene} {} {:?}", settings.global.view_px, context.subjects());
+    let key_of_global = match &settings.global {
+        Global::Views(view) => format!("{scene} {view:?} {:?}", context.subjects()),
+        Global::Raw => format!("{scene} raw"),
+    };
     let key = |id: u32| format!("{scene} {id} {:?}", settings.collage);
     let mut evidence = VisualEvidence { global: cache.globals.get(&key_of_global), ..VisualEvidence::default() };
     let mut missing = Vec::new();
@@ -96,12 +111,40 @@ pub fn collect<S: SceneSource>(source: &S, context: &PromptContext, settings: &P
     Ok(evidence)
 }
 
+impl VisualEvidence {
+    /// The place in a photograph that a model means by a place in a picture it was shown; `None` where that shows no photograph there.
+    ///
+    /// # Errors
+    /// The cloud can not be read.
+    pub fn place<S: SceneSource>(&self, source: &S, seen: &Seen, settings: &PictureSettings) -> Result<Option<Place>, S::Error> {
+        let of_candidate = self.collages.iter().find(|(_, picture)| picture.name == seen.picture);
+        let of_sheet = self.sheets.iter().find(|(picture, _)| picture.name == seen.picture);
+        let (picture, tiles) = match (of_candidate, settings.collage, of_sheet) {
+            (Some((&id, picture)), Some(collage), _) => {
+                let shots = source.shots(InstanceId(id), collage.max_shots, &*source.render_scene()?);
+                (picture, collage.tiles(&shots))
+            }
+            (_, _, Some((picture, ids))) => {
+                let ids: Vec<InstanceId> = ids.iter().copied().map(InstanceId).collect();
+                (picture, naming::tiles(source, &ids)?)
+            }
+            _ => return Ok(None),
+        };
+        let at = (seen.at[0] * picture.width as f32, seen.at[1] * picture.height as f32);
+        Ok(tiles.iter().find_map(|tile| Some(Place { frame: tile.frame, at: tile.place(at)? })))
+    }
+}
+
 /// The global render of a question; `None` where there are no points or no candidates.
-fn draw_global(context: &PromptContext, render_scene: &RenderScene, extent: &Aabb, view: &GlobalView) -> Option<Picture> {
+fn draw_global(context: &PromptContext, render_scene: &RenderScene, extent: &Aabb, global: &Global) -> Option<Picture> {
     if render_scene.cloud.is_empty() || context.candidates.is_empty() {
         return None;
     }
-    Some(encoded("global".into(), &view.draw(render_scene, extent, &context.subjects())))
+    let picture = match global {
+        Global::Views(view) => view.draw(render_scene, extent, &context.subjects()),
+        Global::Raw => scene_picture(render_scene, extent, &ROOM_VIEW, &[]),
+    };
+    Some(encoded("global".into(), &picture))
 }
 
 /// One photograph of each instance, on as few sheets as hold them.

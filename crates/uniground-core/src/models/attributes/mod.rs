@@ -172,6 +172,7 @@ pub(crate) mod tests {
             views: Vec::new(),
             names: Vec::new(),
             given_name: None,
+            found_for: None,
         }
     }
 

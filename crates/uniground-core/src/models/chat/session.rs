@@ -77,6 +77,11 @@ impl<'a> Session<'a> {
         self.most.saturating_sub(self.records.len() as u32)
     }
 
+    /// Lets one more call be made than was agreed.
+    pub fn allow_one_more(&mut self) {
+        self.most += 1;
+    }
+
     /// Asks once. Whatever comes of it is remembered.
     ///
     /// # Errors

@@ -1,6 +1,7 @@
 //! A bundle: a folder with `model.json`, networks and, for text, a tokenizer.
 
 use super::ModelError;
+use super::external_data::external_data;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
 use sha2::{Digest, Sha256};
@@ -199,6 +200,9 @@ pub struct SegmenterDecoder {
     pub dynamic_batch: bool,
     /// Prompts in one call, 1 to 1024; without `dynamic_batch` there is always one.
     pub max_batch: usize,
+    /// The same where a graphics card computes, 1 to 1024: more prompts take hardly longer there. `None`: as many.
+    #[serde(default)]
+    pub accelerated_batch: Option<u16>,
     /// Prompts without a box get one more point, labelled -1, which means nothing.
     pub pad_point: bool,
     /// Logit above which a pixel is inside.
@@ -311,17 +315,42 @@ impl Bundle {
         }
     }
 
-    /// SHA-256 over names and contents of the manifest and the files it names, and over `also`; hexadecimal.
+    /// The files beside a network that hold its weights, where it is larger than one ONNX file can be.
+    ///
+    /// # Errors
+    /// [`ModelError::Bundle`]: the network can not be read, or its weights lie elsewhere or are missing.
+    pub fn weights_of(&self, network: &str) -> Result<Vec<String>, ModelError> {
+        let file = self.path(network);
+        let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
+        let named = external_data(&file).map_err(|e| wrong(e.to_string()))?;
+        for name in &named {
+            if !is_file(name) {
+                return Err(wrong(format!("its weights are said to lie in {name:?}, which is no file of the same folder")));
+            }
+            if !self.path(name).is_file() {
+                return Err(wrong(format!("its weights are missing: {name}")));
+            }
+        }
+        Ok(named.into_iter().collect())
+    }
+
+    /// SHA-256 over names and contents of the manifest, the files it names and the weights beside these, and over `also`; hexadecimal.
     ///
     /// # Errors
     /// [`ModelError::Bundle`] naming the file that is missing.
     pub fn fingerprint(&self, with_networks: bool, also: &[String]) -> Result<String, ModelError> {
         let (networks, tokenizer) = self.files();
         let mut digest = Sha256::new();
-        for name in std::iter::once(MANIFEST).chain(networks.into_iter().filter(|_| with_networks)).chain(tokenizer) {
-            let file = self.path(name);
+        let mut names = vec![MANIFEST.to_owned()];
+        for network in networks.into_iter().filter(|_| with_networks) {
+            names.push(network.to_owned());
+            names.extend(self.weights_of(network)?);
+        }
+        names.extend(tokenizer.map(str::to_owned));
+        for name in names {
+            let file = self.path(&name);
             let wrong = |e: io::Error| ModelError::Bundle { file: file.clone(), why: e.to_string() };
-            digest.update(name);
+            digest.update(&name);
             digest.update([0]);
             let mut reader = File::open(&file).map_err(wrong)?;
             digest.update(reader.metadata().map_err(wrong)?.len().to_le_bytes());
@@ -404,6 +433,7 @@ impl Manifest {
                 ("decoder.multimask_first", m.decoder.multimask_first < m.decoder.num_masks, "below num_masks"),
                 ("decoder.single_mask", m.decoder.single_mask.is_none_or(|i| i < m.decoder.num_masks), "below num_masks"),
                 ("decoder.max_batch", (1..=1024).contains(&m.decoder.max_batch), "1 to 1024"),
+                ("decoder.accelerated_batch", m.decoder.accelerated_batch.is_none_or(|n| (1..=1024).contains(&n)), "1 to 1024"),
                 ("decoder.mask_threshold", m.decoder.mask_threshold.is_finite(), "a number"),
             ],
         };

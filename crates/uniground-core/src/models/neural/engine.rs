@@ -31,6 +31,11 @@ pub trait Engine: Send + Sync {
     /// For people: `cpu`, `cuda`, or an address.
     fn runs_on(&self) -> String;
 
+    /// Whether something other than processor cores is known to compute, which likes larger batches.
+    fn is_accelerated(&self) -> bool {
+        false
+    }
+
     /// File of the library that computes; none where networks run elsewhere.
     fn library(&self) -> Option<String>;
 }

@@ -46,7 +46,11 @@ impl Models {
         let Manifest::PromptableSegmenter(manifest) = &bundle.manifest else { return Err(wrong_kind(&bundle, "a promptable-segmenter")) };
         let encoder = engine.open(&bundle, &manifest.encoder.file, 1, Work::Parsing)?;
         let decoder = engine.open(&bundle, &manifest.decoder.file, AT_ONCE, Work::Parsing)?;
-        let segmenter = Segmenter::new(&bundle, manifest, encoder, decoder)?;
+        let mut manifest = manifest.clone();
+        if engine.is_accelerated() {
+            manifest.decoder.max_batch = manifest.decoder.accelerated_batch.map_or(manifest.decoder.max_batch, usize::from);
+        }
+        let segmenter = Segmenter::new(&bundle, &manifest, encoder, decoder)?;
         self.note(engine, &bundle, Role::Masks, None, segmenter.batch(), &manifest.licence)?;
         self.segmenters.push(Arc::new(segmenter));
         Ok(self)

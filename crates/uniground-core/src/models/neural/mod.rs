@@ -10,6 +10,7 @@ pub mod bundle;
 mod bundle_listing;
 mod dual_encoder;
 mod engine;
+mod external_data;
 mod loading;
 pub mod network;
 mod onnx;

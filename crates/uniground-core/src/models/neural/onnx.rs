@@ -163,6 +163,7 @@ impl OnnxRuntime {
 
 impl Engine for OnnxRuntime {
     fn open(&self, bundle: &Bundle, file: &str, at_once: usize, work: Work) -> Result<Box<dyn Network>, ModelError> {
+        bundle.weights_of(file)?;
         let load = || self.load_network(&bundle.path(file), at_once);
         let network = match work {
             // A session's own threads are as low as the thread that makes it.
@@ -178,6 +179,10 @@ impl Engine for OnnxRuntime {
 
     fn runs_on(&self) -> String {
         self.provider.to_string()
+    }
+
+    fn is_accelerated(&self) -> bool {
+        self.provider != Provider::Cpu
     }
 
     fn library(&self) -> Option<String> {

@@ -1,5 +1,6 @@
 //! The tiny bundles in `tests/data`: random weights, every code path, golden outputs from the Python runtime.
 
+use super::bundle::Bundle;
 use super::*;
 use camino::Utf8Path;
 use image::RgbImage;
@@ -260,6 +261,43 @@ fn fingerprints_follow_the_files() {
     let (_other, changed) = spoilt("tiny-segmenter", |p| replace(&p.join("model.json"), "MIT-0", "MIT"));
     assert_eq!(of(&same), of(&data("tiny-segmenter")));
     assert_ne!(of(&changed), of(&same));
+}
+
+/// The same decoder with its weights in a file of their own, as networks over 2 GB have them.
+#[test]
+fn weights_beside_a_network_are_loaded_and_fingerprinted() {
+    let external = |path: &Utf8Path| {
+        for file in ["decoder.onnx", "decoder.onnx.data"] {
+            fs::copy(data("external-weights").join(file), path.join(file)).unwrap();
+        }
+    };
+    let (_folder, beside) = spoilt("tiny-segmenter", external);
+    let loaded = verify(&engine(), &beside).unwrap();
+    let within = verify(&engine(), &data("tiny-segmenter")).unwrap();
+    let picture = image::RgbImage::from_fn(64, 48, |x, y| image::Rgb([(x * 4) as u8, (y * 5) as u8, 90]));
+    let masks = |models: &Models| {
+        let segmenter = &models.segmenters[0];
+        let encoded = segmenter.encode(&picture).unwrap();
+        segmenter.decode(&encoded, &[Prompt::inside([(20.0, 20.0)])]).unwrap()
+    };
+    assert_eq!(masks(&loaded), masks(&within));
+
+    // One byte of a weight makes another model.
+    let (_other, changed) = spoilt("tiny-segmenter", |path| {
+        external(path);
+        let file = path.join("decoder.onnx.data");
+        let mut bytes = fs::read(&file).unwrap();
+        bytes[100] ^= 1;
+        fs::write(&file, bytes).unwrap();
+    });
+    let fingerprint = |path: &Utf8Path| Bundle::read(path).unwrap().fingerprint(true, &[]).unwrap();
+    assert_ne!(fingerprint(&changed), fingerprint(&beside));
+    let (_gone, missing) = spoilt("tiny-segmenter", |path| {
+        external(path);
+        fs::remove_file(path.join("decoder.onnx.data")).unwrap();
+    });
+    let error = verify(&engine(), &missing).unwrap_err().to_string();
+    assert!(error.contains("weights are missing: decoder.onnx.data"), "{error}");
 }
 
 #[test]

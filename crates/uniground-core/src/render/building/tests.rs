@@ -64,6 +64,7 @@ impl Scene {
             views: Vec::new(),
             names: Vec::new(),
             given_name: None,
+            found_for: None,
         });
     }
 

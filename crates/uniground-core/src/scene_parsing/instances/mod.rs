@@ -1,6 +1,7 @@
 //! Regions to instances: boxes, colours, support, structure, and which regions are none. Class-agnostic.
 
 mod bounds;
+mod single;
 mod structure;
 mod support;
 
@@ -17,6 +18,7 @@ use crate::scene_parsing::planes::Planes;
 use crate::scene_parsing::superpoints::Superpoints;
 use crate::scene_parsing::views::Sighting;
 use rayon::prelude::*;
+pub use single::of_points;
 use std::collections::BTreeMap;
 pub use support::supports;
 use uniground_types::settings::InstanceSettings;
@@ -114,6 +116,7 @@ pub fn build<'a>(
             views: Vec::new(),
             names: Vec::new(),
             given_name: None,
+            found_for: None,
         })
         .collect();
     let renumbered = |sighting: Sighting| Sighting { instance: new_id[sighting.instance.0 as usize], ..sighting };

@@ -25,7 +25,8 @@ pub fn supports(boxes: &[Aabb], structures: &[Option<Structure>], floor_z: f32, 
     (0..boxes.len()).into_par_iter().map(of).collect()
 }
 
-fn of(i: usize, boxes: &[Aabb], structures: &[Option<Structure>], floor_z: f32) -> Support {
+/// Support of one of the boxes.
+pub(super) fn of(i: usize, boxes: &[Aabb], structures: &[Option<Structure>], floor_z: f32) -> Support {
     let own = &boxes[i];
     let bottom = own.min().z;
     if bottom < floor_z + 2.0 * CONTACT_M {

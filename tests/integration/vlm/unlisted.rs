@@ -1,0 +1,90 @@
+//! A model sees in a photograph what was not listed: the place becomes an instance, and the model is asked again with it.
+
+use super::{Script, config, corrections, purposes, six_lines, start};
+use crate::script::{Scripted, says};
+use crate::server::ask;
+use uniground_core::grounding::{NoMatchReason, Status};
+use uniground_types::answer::Answer;
+use uniground_types::instances::{InstanceView, Levels};
+
+const QUERY: &str = "the porcelain teapot";
+const NAME: &str = "white porcelain teapot";
+
+/// "Not listed", and where it is seen: in the whole photograph below the crop of the collage that comes as this image.
+fn sees(image: usize, (x, y): (u32, u32)) -> Scripted {
+    says(&format!(
+        "Predicted ID: not listed\nExplanation: it stands there\nCandidate Names: none\nTarget name matches?: false\nAnchor ID: unknown\n\
+         Relation used: none\nSeen at: {image}, {x}, {y}, {NAME}"
+    ))
+}
+
+/// The id of the instance that was made, as the trace tells it.
+fn made(answer: &Answer) -> Option<u32> {
+    let told = corrections(answer);
+    let (before, _) = told.split_once(" was made of it")?;
+    before.rsplit(' ').next()?.parse().ok()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_seen_but_not_listed_becomes_an_instance() {
+    let script = Script::default();
+    let (server, scene) = start(config(&script.serve(vec![says("-")]).await)).await;
+    let before = server.client.all_instances(&scene, Levels::All).await.unwrap().len();
+    let asked = async |answers: Vec<Scripted>| {
+        script.take();
+        script.next(answers);
+        server.client.ground(&scene, &ask(QUERY)).await.unwrap()
+    };
+
+    // A place in the render is told, but shows no photograph.
+    let answer = asked(vec![sees(1, (500, 500))]).await;
+    assert_eq!((answer.status, answer.no_match_reason), (Status::NoMatch, Some(NoMatchReason::NotListed)));
+    assert_eq!((answer.seen.as_ref().unwrap().name.as_str(), purposes(&answer).len()), (NAME, 1));
+
+    // Somewhere in the photographs lies something that is no instance yet. The model does not take it: nothing was meant.
+    let spots = (2..=4).flat_map(|image| [80, 160, 240].into_iter().flat_map(move |x| [600, 700, 800, 900].map(|y| (image, (x, y)))));
+    let mut found = None;
+    for (image, at) in spots {
+        let answer = asked(vec![sees(image, at), six_lines("none", "", false, 1)]).await;
+        if let Some(id) = made(&answer) {
+            assert_eq!((answer.status, purposes(&answer).len()), (Status::NoMatch, 2), "{}", corrections(&answer));
+            assert!(answer.candidates.as_ref().unwrap().iter().any(|c| c.id.0 == id));
+            found = Some((image, at, id));
+            break;
+        }
+    }
+    let (image, at, id) = found.expect("something in three photographs is no instance");
+    assert_eq!(id as usize, before + 1, "behind all others");
+
+    // It is kept, flagged, and can be looked at.
+    let instances: Vec<InstanceView> = server.client.all_instances(&scene, Levels::All).await.unwrap();
+    let instance = instances.last().unwrap();
+    assert_eq!((instance.label.as_str(), instance.found_for.as_deref()), (NAME, Some(QUERY)));
+    assert!(instance.point_count >= 20 && instance.aabb.size.iter().all(|side| *side > 0.0) && !instance.views.is_empty());
+    for picture in ["frame", "crop"] {
+        let bytes = server
+            .client
+            .bytes(&format!("v1/scenes/{scene}/instances/{id}/views/0.jpg?picture={picture}"))
+            .await
+            .unwrap();
+        assert!(image::load_from_memory(&bytes).is_ok());
+    }
+
+    // Asked again it is among the candidates by its name, and the model takes it.
+    let answer = asked(vec![six_lines(id, &format!("{id} -> {NAME}"), true, 1)]).await;
+    assert_eq!(
+        (answer.status, answer.answer.predicted_id.map(|id| id.0), purposes(&answer).len()),
+        (Status::Grounded, Some(id), 1)
+    );
+    assert_eq!(answer.aabb, Some(instance.aabb));
+
+    // Pointed at once more it is known.
+    let answer = asked(vec![sees(image, at)]).await;
+    assert!(
+        corrections(&answer).contains(&format!("it is instance {id}")) || made(&answer).is_none(),
+        "{}",
+        corrections(&answer)
+    );
+    assert_eq!(server.client.all_instances(&scene, Levels::All).await.unwrap().len(), before + 1);
+    server.stop().await;
+}
