@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-pointed bench-http openapi schemathesis clean
+.PHONY: demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-pointed bench-http openapi python-client test-python schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -86,8 +86,16 @@ bench-http: ## Questions per second over HTTP (needs Debian's wrk)
 	$(CARGO) build --release --locked --quiet
 	scripts/bench-http.sh
 
-openapi: ## Regenerate the committed description
+openapi: ## Regenerate the committed description, and what the Python package has from it
 	$(CARGO) run --release --locked --quiet -- openapi > openapi/openapi.json
+	$(PYTHON) scripts/python-client.py
+
+python-client: ## Regenerate what the Python package has from the description, and its client that waits
+	$(PYTHON) scripts/python-client.py
+
+test-python: ## The Python package, its documentation and notebook, and the ROS 2 example, against a real server (installs into .venv-python)
+	$(CARGO) build --release --locked --quiet
+	PYTHON=$(PYTHON) scripts/test-python.sh
 
 schemathesis: ## Property-based requests from the served description (installs Schemathesis into .venv)
 	$(CARGO) build --release --locked --quiet

@@ -70,7 +70,10 @@ def main():
         held_out = [row[1:] for row in rows if row[0] == scene]
         before += held_out
         after += [(read(curve, belief), right) for belief, right in held_out]
-    print(f"# {len(rows)} answers in {len({row[0] for row in rows})} rooms; error {error(before):.3f}, held out {error(after):.3f}", file=sys.stderr)
+    print(
+        f"# {len(rows)} answers in {len({row[0] for row in rows})} rooms; error {error(before):.3f}, held out {error(after):.3f}",
+        file=sys.stderr,
+    )
     for belief, share in table([row[1:] for row in rows]):
         print(f"{source}\t{belief}\t{share}")
 

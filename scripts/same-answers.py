@@ -3,6 +3,7 @@
 
 scripts/same-answers.py path/to/uniground path/to/other/uniground [scan.zip queries.json]
 """
+
 import json
 import re
 import subprocess
@@ -37,9 +38,7 @@ class Server:
 
 
 # What differs between two runs of the same version.
-CHANGING = re.compile(
-    rb'"timings_ms":\{[^}]*\}|[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}'
-)
+CHANGING = re.compile(rb'"timings_ms":\{[^}]*\}|[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}')
 
 
 def told(program, scan, queries):
@@ -64,7 +63,9 @@ def told(program, scan, queries):
 
 def main():
     ours, theirs = sys.argv[1:3]
-    scan, queries = (Path(p) for p in sys.argv[3:5]) if len(sys.argv) > 3 else (EXAMPLES / "living_room.zip", EXAMPLES / "living_room.queries.json")
+    scan, queries = (
+        (Path(p) for p in sys.argv[3:5]) if len(sys.argv) > 3 else (EXAMPLES / "living_room.zip", EXAMPLES / "living_room.queries.json")
+    )
     questions = [entry["query"] for entry in json.loads(queries.read_text())]
     replies = [told(program, scan.read_bytes(), questions) for program in (ours, theirs)]
     # Two servers that both refuse everything would answer alike too.
@@ -76,7 +77,7 @@ def main():
         if one != other:
             unlike += 1
             at = next((i for i, (a, b) in enumerate(zip(one, other)) if a != b), min(len(one), len(other)))
-            print(f"{what}\n  {one[max(0, at - 80):at + 120]!r}\n  {other[max(0, at - 80):at + 120]!r}")
+            print(f"{what}\n  {one[max(0, at - 80) : at + 120]!r}\n  {other[max(0, at - 80) : at + 120]!r}")
     print(f"{len(replies[0])} replies to {len(questions)} questions compared, {unlike} differ")
     sys.exit(unlike > 0)
 

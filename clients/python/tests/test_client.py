@@ -1,0 +1,256 @@
+"""A user's day with the real server: upload, wait, ask, lists of questions, pictures, errors."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import zipfile
+from pathlib import Path
+from typing import Optional
+
+import numpy as np
+import pytest
+from served import KEY, SAMPLE, running
+
+from uniground import AsyncClient, Client, Scene, UnigroundError, boxes, models, table
+
+# With a line separator of Unicode's, which is none of JSON's lines.
+QUESTIONS = ["the mug on the coffee table", "how many mugs are there", "the\u2028sofa", "the spaceship"]
+
+
+def test_a_scan_is_uploaded_followed_and_asked_about(client: Client, few_frames: Path) -> None:
+    sent: list[tuple[int, int]] = []
+    stages: list[Optional[str]] = []
+    scene = client.upload(few_frames, name="followed", on_progress=lambda *now: sent.append(now))
+    assert sent[-1] == (few_frames.stat().st_size, few_frames.stat().st_size)
+    scene.wait(lambda job: stages.append(job.stage), timeout_s=120)
+    assert len(stages) > 1
+    scene.parse(settings={"parsing": {"superpoints": {"voxel_m": 0.03}}}).wait()
+    assert (scene.name, scene.status, scene.info.parse_version) == ("followed", "ready", 2)
+    assert scene.info.settings is not None
+    assert scene.info.settings["parsing"]["superpoints"]["voxel_m"] == pytest.approx(0.03)
+    assert scene.ask("the sofa").parse_version == 2
+    assert scene.rename("renamed").name == "renamed"
+    scene.delete()
+    with pytest.raises(UnigroundError) as gone:
+        scene.refresh()
+    assert gone.value.code == "scene_not_found"
+
+
+def test_an_answer_has_its_boxes_as_arrays(scene: Scene) -> None:
+    answer = scene.ask("the mug on the coffee table", top_k=3)
+    assert answer.status == "grounded"
+    assert answer.name == "orange mug"
+    assert answer.box is not None
+    assert answer.oriented_box is not None
+    assert answer.box.array() == pytest.approx([-0.909, 0.523, 0.518, 0.108, 0.131, 0.098, 0], abs=2e-3)
+    assert answer.oriented_box.array() == pytest.approx([-0.896, 0.524, 0.518, 0.104, 0.125, 0.098, -0.262], abs=2e-3)
+    assert answer.candidates is not None
+    assert boxes(answer.candidates).shape == (3, 7)
+    assert str(answer).startswith("the mug on the coffee table: grounded, orange mug (instance 86), confidence 0.55, centre (-0.91 ")
+
+    cloud = scene.cloud(instances=True)
+    assert cloud.instances is not None
+    mug = cloud.points[cloud.instances == answer.answer.predicted_id]
+    # Stray points are left out of boxes.
+    assert answer.oriented_box.contains(mug).mean() > 0.8
+    corners = answer.oriented_box.corners()
+    assert corners.mean(axis=0) == pytest.approx(answer.oriented_box.center)
+    assert np.linalg.norm(corners[1] - corners[0]) == pytest.approx(answer.oriented_box.size[0])
+    assert scene.cloud().points.shape == cloud.points.shape
+
+
+def test_every_field_of_a_question_is_taken(scene: Scene) -> None:
+    every: models.GroundOptions = {
+        "ablation": "full",
+        "allow_builtin": False,
+        "candidates": "fused",
+        "direction_convention": "viewer",
+        "evidence": "full",
+        "include": ["candidates", "evidence", "trace"],
+        "max_cost_usd": 0.0,
+        "min_confidence": 0.1,
+        "observer": {"position": [0.0, -2.0, 1.2], "yaw_rad": np.pi / 2},
+        "parser": "builtin",
+        "prompt": "revised",
+        "query_text": "mean",
+        "reasoner": "builtin",
+        "timeout_s": 10.0,
+        "top_k": 2,
+    }
+    assert set(every) == set(models.GroundOptions.__annotations__), "the API has other fields by now: ask with them"
+    answer = scene.ask("the chair to the left of the dining table", **every)
+    assert answer.direction_convention == "observer"
+    assert answer.candidates is not None
+    assert len(answer.candidates) == 2
+    assert scene.ask("the sofa", include=[]).candidates is None
+
+
+def test_several_things_and_none(scene: Scene) -> None:
+    mugs = scene.ask("how many mugs are there", min_confidence=0)
+    assert mugs.count == len(mugs.targets) == len(mugs.boxes()) >= 3
+    nothing = scene.ask("the spaceship")
+    assert (nothing.status, nothing.no_match_reason, nothing.box, nothing.name) == ("no_match", "not_recognised", None, None)
+    assert nothing.boxes().shape == (0, 7)
+    assert str(nothing).startswith("the spaceship: no_match. ")
+
+
+def test_pictures_are_pictures(scene: Scene) -> None:
+    answer = scene.ask("the orange stool")
+    assert answer.answer.predicted_id is not None
+    assert len(scene.instance(answer.answer.predicted_id).views) > 0
+    frame = scene.photograph(answer.answer.predicted_id)
+    crop = scene.photograph(answer.answer.predicted_id, crop=True)
+    for picture in (scene.picture(answer), frame, crop):
+        assert picture.startswith(b"\xff\xd8")
+    assert frame != crop
+
+
+def test_what_a_scene_consists_of(client: Client, scene: Scene) -> None:
+    things = scene.instances()
+    assert len(things) > 50
+    assert len(scene.instances("all")) >= len(things)
+    rows = table(things)
+    assert list(rows.columns[:3]) == ["id", "level", "name"]
+    assert {"floor", "wall"} <= set(rows["structure"].dropna())
+    assert scene.shortlist("the red chair", top_k=2).candidates[0].rank == 1
+    assert scene.report().parse_version == scene.info.parse_version
+    assert scene.info.import_ is not None
+    assert scene.info.import_.frames == 30
+    assert client.scene(scene.id).name == "living room"
+    assert scene.id in [other.id for other in client.scenes()]
+
+
+def test_a_list_of_questions_is_asked_in_order_and_only_once(client: Client, scene: Scene) -> None:
+    results = scene.ask_all(QUESTIONS, top_k=2, reasoner="builtin")
+    assert [result.query for result in results] == QUESTIONS
+    rows = table(results)
+    assert list(rows["status"]) == [result.status for result in results]
+    assert rows["predicted_id"][0] == 86
+    again = scene.ask_all(QUESTIONS, top_k=2, reasoner="builtin")
+    assert [result.answer_id for result in again] == [result.answer_id for result in results]
+
+    batch = client.batch([{"query": "the sofa", "scene_id": scene.id}, {"query": "the desk", "scene_id": "no"}], label="mixed")
+    [sofa, desk] = batch.results()
+    assert sofa.answer is not None
+    assert desk.error is not None
+    assert (desk.status, desk.error.code) == ("failed", "scene_not_found")
+    assert table([sofa, desk])["error_code"][1] == "scene_not_found"
+    assert batch.refresh().info.state == "succeeded"
+    assert batch.id in [other.id for other in client.batches()]
+    kept = next(client.answers(batch_id=batch.id))
+    assert kept == client.answer(kept.id) == sofa.answer
+
+
+def test_a_list_that_was_paused_goes_on_when_it_is_asked_again(client: Client, scene: Scene) -> None:
+    questions = [f"the {colour} chair" for colour in ("red", "blue", "green", "white")] * 500
+    batch = client.batch(questions, scene=scene, label="paused", concurrency=1).pause()
+    assert batch.info.state == "paused"
+    with pytest.raises(UnigroundError, match="paused after") as paused:
+        list(batch.results())
+    assert paused.value.code == "batch_paused"
+    again = client.batch(questions, scene=scene, label="paused", concurrency=1)
+    assert (again.id, again.info.state) == (batch.id, "running")
+    assert again.cancel().info.state == "cancelled"
+
+
+def test_a_list_that_was_cut_off_goes_on(client: Client, scene: Scene, tmp_path: Path) -> None:
+    file = tmp_path / "results.jsonl"
+    batch = client.batch(QUESTIONS, scene=scene, label="cut off")
+    assert batch.save(file) == len(QUESTIONS)
+    whole = file.read_bytes()
+    lines = whole.splitlines(keepends=True)
+    file.write_bytes(b"".join(lines[:2]) + lines[2][:10])
+    assert client.get_batch(batch.id).save(file) == len(QUESTIONS)
+    assert file.read_bytes() == whole
+    assert [json.loads(line)["item"] for line in lines] == [0, 1, 2, 3]
+    assert [result.item for result in batch.results(start=3)] == [3]
+
+
+def test_a_list_outlives_the_server(few_frames: Path, tmp_path: Path) -> None:
+    """Stopped while results are read, and started again at another address: the same calls go on with the same batch."""
+    questions = [f"the {colour} chair" for colour in ("red", "blue", "green", "white")] * 500
+    with running(tmp_path / "data") as url:
+        scene = Client(url, KEY).upload(few_frames, idempotency_key="once").wait()
+        batch = Client(url, KEY).batch(questions, scene=scene, concurrency=1)
+        first = next(batch.results())
+    with running(tmp_path / "data") as url:
+        client = Client(url, KEY)
+        again = client.batch(questions, scene=client.upload(few_frames, idempotency_key="once"), concurrency=1)
+        assert again.id == batch.id
+        results = list(again.results())
+    assert len(results) == len(questions)
+    assert results[0] == first
+
+
+def test_an_upload_with_a_key_is_made_once(client: Client, scene: Scene, tmp_path: Path) -> None:
+    assert client.upload(SAMPLE, name="living room", idempotency_key="sample").id == scene.id
+    assert client.upload(SAMPLE, name="living room").id != scene.id
+
+
+def test_an_error_says_what_is_wrong(client: Client, scene: Scene, server: str, tmp_path: Path) -> None:
+    with pytest.raises(UnigroundError) as wrong:
+        scene.ask("the mug", top_k=0)
+    assert (wrong.value.code, wrong.value.status, wrong.value.title) == ("invalid_request", 422, "Unprocessable Entity")
+    assert wrong.value.errors == [{"pointer": "/top_k", "detail": "must be 1 to 100"}]
+    assert wrong.value.request_id
+    assert str(wrong.value) == "/top_k: must be 1 to 100 (invalid_request)"
+
+    with pytest.raises(UnigroundError) as unknown:
+        Client(server, "ug_wrong").upload(SAMPLE)
+    assert (unknown.value.code, unknown.value.status) == ("unauthorized", 401)
+
+    stored = client.upload(SAMPLE, parse=False)
+    with pytest.raises(UnigroundError, match="was only stored"):
+        stored.wait()
+    with pytest.raises(UnigroundError) as unparsed:
+        stored.ask("the mug")
+    assert unparsed.value.code == "scene_not_ready"
+
+    with zipfile.ZipFile(tmp_path / "empty.zip", "w") as archive:
+        archive.writestr("readme.txt", "nothing here")
+    with pytest.raises(UnigroundError) as layout:
+        client.upload(tmp_path / "empty.zip")
+    assert layout.value.code == "unknown_layout"
+
+
+def test_a_parse_that_fails_says_why(client: Client, tmp_path: Path) -> None:
+    """Depth in centimetres, said to be millimetres."""
+    with zipfile.ZipFile(SAMPLE) as sample, zipfile.ZipFile(tmp_path / "wrong.zip", "w") as wrong:
+        for name in sample.namelist():
+            content = sample.read(name)
+            wrong.writestr(name, content.replace(b'"depth_scale_m": 0.001', b'"depth_scale_m": 0.01') if name == "scene.json" else content)
+    scene = client.upload(tmp_path / "wrong.zip")
+    with pytest.raises(UnigroundError) as failed:
+        scene.wait(timeout_s=60)
+    assert (failed.value.code, failed.value.status) == ("convention_mismatch", None)
+    assert failed.value.job_id == scene.info.job_id
+
+
+def test_settings_come_from_arguments_or_variables(server: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    stats = Client().call("GET", "/v1/stats")
+    assert "version" in stats
+    assert KEY not in repr(Client())
+    monkeypatch.delenv("UNIGROUND_API_KEY")
+    with pytest.raises(UnigroundError) as unknown:
+        Client(server).call("GET", "/v1/stats")
+    assert unknown.value.code == "unauthorized"
+    with pytest.raises(ValueError, match="is not the address of a server"):
+        Client("127.0.0.1")
+
+
+def test_the_asynchronous_client_does_the_same(scene: Scene) -> None:
+    async def ask() -> None:
+        async with AsyncClient() as client:
+            same = await client.upload(SAMPLE, name="living room", idempotency_key="sample")
+            await same.wait()
+            assert same.id == scene.id
+            answers = await asyncio.gather(*(same.ask(question) for question in QUESTIONS))
+            assert [answer.query for answer in answers] == QUESTIONS
+            batch = await client.batch(QUESTIONS, scene=same, label="async")
+            assert [result.item async for result in batch.results()] == [0, 1, 2, 3]
+            assert [other.id async for other in client.scenes() if other.id == scene.id] == [scene.id]
+            with pytest.raises(UnigroundError, match="scene_not_found"):
+                await client.scene("01a204e5-ec2d-7755-9640-869af6cd5b99")
+
+    asyncio.run(ask())

@@ -1,0 +1,184 @@
+"""The ROS 2 example against the real server; `stubs` stands for ROS itself."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import stubs
+
+from uniground import Scene, models
+
+SERVICE = Path(__file__).parents[1] / "uniground_interfaces/srv/Ground.srv"
+stubs.install("\n".join(line for line in SERVICE.read_text().splitlines() if not line.startswith("#")) + "\n")
+
+from geometry_msgs.msg import TransformStamped  # noqa: E402
+from std_msgs.msg import Header, String  # noqa: E402
+from uniground_interfaces.srv import Ground  # noqa: E402
+
+from uniground_ros import convert  # noqa: E402
+from uniground_ros.convert import Placed  # noqa: E402
+from uniground_ros.node import Grounding  # noqa: E402
+
+HERE = Placed(np.eye(3), np.zeros(3))
+MUG = "the mug on the coffee table"
+
+
+def transform(x: float, y: float, yaw: float) -> Any:
+    stamped = TransformStamped()
+    stamped.transform.translation.x, stamped.transform.translation.y = x, y
+    stamped.transform.rotation.z, stamped.transform.rotation.w = math.sin(yaw / 2), math.cos(yaw / 2)
+    return stamped
+
+
+def yaw_of(orientation: Any) -> float:
+    assert (orientation.x, orientation.y) == pytest.approx((0, 0), abs=1e-6)
+    return 2 * math.atan2(orientation.z, orientation.w)
+
+
+def at(point: Any) -> list[float]:
+    return [point.x, point.y, point.z]
+
+
+@pytest.fixture
+def node(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> Grounding:
+    monkeypatch.setattr(stubs.Node, "OVERRIDES", {"scene_id": scene.id})
+    # The scan's origin lies at (10, 5) of the map, turned by a quarter; the robot stands in the middle of the room.
+    quarter = math.pi / 2
+    known = {
+        ("map", "scan"): transform(10, 5, quarter),
+        ("scan", "base_link"): transform(0, 0, 0),
+        ("map", "base_link"): transform(10, 5, quarter),
+    }
+    monkeypatch.setattr(stubs, "TRANSFORMS", known)
+    return Grounding()
+
+
+def ask(node: Grounding, query: str, seen: bool = False) -> Any:
+    response = node.entries["~/ground"](Ground.Request(query=query, as_seen_by_robot=seen), Ground.Response())
+    assert stubs.packed(response)
+    return response
+
+
+def test_an_answer_is_a_detection_in_the_map(node: Grounding, scene: Scene) -> None:
+    said = ask(node, MUG)
+    target = scene.ask(MUG).targets[0]
+    x, y, z = target.oriented_box.center
+    [detection] = said.detections.detections
+    assert said.status == "grounded"
+    assert detection.id == f"{scene.id}/1/86"
+    assert (detection.header.frame_id, detection.header.stamp.sec) == ("map", 7)
+    assert at(detection.bbox.center.position) == pytest.approx([10 - y, 5 + x, z])
+    assert at(detection.bbox.size) == pytest.approx(target.oriented_box.size)
+    assert yaw_of(detection.bbox.center.orientation) == pytest.approx(math.pi / 2 + target.oriented_box.yaw_rad)
+    [result] = detection.results
+    assert (result.hypothesis.class_id, result.hypothesis.score) == ("orange mug", pytest.approx(target.confidence))
+    assert at(result.pose.pose.position) == at(detection.bbox.center.position)
+    assert json.loads(said.answer_json)["answer"]["predicted_id"] == 86
+    assert node.published["~/detections"] == [said.detections]
+    assert node.published["~/answer"][0].data == said.answer_json
+
+
+def test_markers_show_it_and_take_the_last_ones_away(node: Grounding) -> None:
+    ask(node, MUG)
+    [array] = node.published["~/markers"]
+    gone, cube, label = array.markers
+    assert gone.action == gone.DELETEALL
+    assert (cube.type, cube.ns, round(cube.color.g, 2), cube.color.a) == (cube.CUBE, "boxes", 0.6, 0.4)
+    assert (label.type, label.text) == (label.TEXT_VIEW_FACING, "orange mug 0.55")
+    assert label.pose.position.z > cube.pose.position.z
+
+
+def test_the_goal_is_in_front_of_the_table_and_faces_the_mug(node: Grounding, scene: Scene) -> None:
+    said = ask(node, MUG)
+    assert said.has_goal
+    assert node.published["~/goal"] == [said.goal]
+    stand, mug = at(said.goal.pose.position), at(said.detections.detections[0].bbox.center.position)
+    bearing = math.atan2(mug[1] - stand[1], mug[0] - stand[0])
+    assert yaw_of(said.goal.pose.orientation) == pytest.approx(bearing)
+    table = scene.instance(25).oriented_box
+    # Back in the scan's world: on the rug, off the table by what the robot is told to keep, where the line to the robot leaves it.
+    in_scan = [stand[1] - 5, 10 - stand[0], table.center[2]]
+    assert not table.contains([in_scan])[0]
+    nearer = np.array(in_scan[:2]) + 0.61 * np.array([math.cos(bearing - math.pi / 2), math.sin(bearing - math.pi / 2)])
+    assert table.contains([[*nearer, table.center[2]]])[0]
+
+
+def test_what_is_not_one_sure_thing_is_no_goal(node: Grounding) -> None:
+    several = ask(node, "how many mugs are there")
+    assert (several.status, len(several.detections.detections), several.has_goal) == ("grounded", 4, False)
+    either = ask(node, "the chair closest to the door")
+    assert (either.status, either.has_goal) == ("ambiguous", False)
+    assert len(either.detections.detections) >= 2
+    nothing = ask(node, "the spaceship")
+    assert (nothing.status, nothing.detections.detections, nothing.has_goal) == ("no_match", [], False)
+    guess = ask(node, "the sofa")
+    assert (guess.status, len(guess.detections.detections), guess.has_goal) == ("uncertain", 1, False)
+    assert "~/goal" not in node.published
+    assert len(node.published["~/markers"]) == 4
+
+
+def test_near_is_as_the_robot_stands(node: Grounding, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    for x in (-2.9, 2.0):
+        monkeypatch.setitem(stubs.TRANSFORMS, ("scan", "base_link"), transform(x, 0, 0))
+        node.entries["~/question"](String(data="the mug closest to me"))
+        asked.append(json.loads(node.published["~/answer"][-1].data))
+    assert [answer["direction_convention"] for answer in asked] == ["observer", "observer"]
+    assert asked[0]["answer"]["predicted_id"] != asked[1]["answer"]["predicted_id"]
+
+
+def test_what_goes_wrong_is_the_status(node: Grounding, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert ask(node, "").status == "invalid_request"
+    monkeypatch.delitem(stubs.TRANSFORMS, ("map", "base_link"))
+    assert (ask(node, MUG).status, ask(node, MUG).has_goal) == ("grounded", False)
+    monkeypatch.delitem(stubs.TRANSFORMS, ("scan", "base_link"))
+    assert ask(node, MUG, seen=True).status == "no_transform"
+    monkeypatch.setattr(stubs.Node, "OVERRIDES", {})
+    unset = ask(Grounding(), MUG)
+    assert (unset.status, unset.explanation) == ("scene_not_found", "the parameter scene_id is not set")
+    monkeypatch.setattr(stubs.Node, "OVERRIDES", {"server": "http://127.0.0.1:9", "scene_id": "s"})
+    away = Grounding()
+    away.client._retries = 0
+    assert ask(away, MUG).status == "unreachable"
+
+
+def box(center: list[float], size: list[float], yaw: float = 0.0) -> models.OrientedBox:
+    return models.OrientedBox(center=center, size=size, yaw_rad=yaw)
+
+
+@pytest.mark.parametrize("yaw", [0.0, 0.5, -2.0])
+def test_the_way_out_of_a_box_ends_at_its_rim(yaw: float) -> None:
+    c, s = math.cos(yaw), math.sin(yaw)
+    table = box([1, 2, 0.4], [2.0, 1.0, 0.8], yaw)
+    assert convert.way_out(table, np.array([1, 2]), np.array([c, s])) == pytest.approx(1.0)
+    assert convert.way_out(table, np.array([1, 2]), np.array([-s, c])) == pytest.approx(0.5)
+    assert convert.way_out(table, np.array([1 - 3 * c, 2 - 3 * s]), np.array([-c, -s])) == 0
+
+
+def test_a_robot_that_is_near_enough_only_turns() -> None:
+    chair, header = box([2, 0, 0.5], [0.5, 0.5, 1.0]), Header(frame_id="map")
+    near = Placed(np.eye(3), np.array([1.5, 0.0, 0.1]))
+    stays = convert.goal(chair, [], HERE, near, 0.6, header).pose
+    assert at(stays.position) == pytest.approx([1.5, 0.0, 0.1])
+    far = convert.goal(chair, [], HERE, HERE, 0.6, header).pose
+    assert at(far.position) == pytest.approx([2 - 0.25 - 0.6, 0, 0])
+    assert yaw_of(far.orientation) == pytest.approx(0, abs=1e-9)
+
+
+def test_turns_are_exact_whichever_way_the_map_lies() -> None:
+    rng = np.random.default_rng(2)
+    for q in [*rng.normal(size=(50, 4)), [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]:
+        stamped, pose = TransformStamped(), TransformStamped().transform
+        for name, value in zip("xyzw", q):
+            setattr(stamped.transform.rotation, name, float(value))
+        placed = Placed.of(stamped)
+        assert placed.rotation @ placed.rotation.T == pytest.approx(np.eye(3))
+        back = convert.box_pose(box([0, 0, 0], [1, 1, 1]), placed)
+        pose.rotation = back.orientation
+        stamped.transform = pose
+        assert Placed.of(stamped).rotation == pytest.approx(placed.rotation)

@@ -1,0 +1,39 @@
+"""The node, and where the scan lies in the map: `ros2 launch uniground_ros grounding.launch.py scene_id:=… x:=1.2 yaw:=0.3`."""
+
+from launch import LaunchDescription
+from launch.actions import DeclareLaunchArgument
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
+from launch_ros.parameter_descriptions import ParameterValue
+
+ARGUMENTS = {
+    "scene_id": ("", "A parsed scene of the server"),
+    "server": ("http://127.0.0.1:8080", "Its address; the key is read from UNIGROUND_API_KEY"),
+    "x": ("0", "Where the scan's origin lies in the map, metres"),
+    "y": ("0", ""),
+    "z": ("0", ""),
+    "yaw": ("0", "How the scan is turned in the map, radians"),
+}
+
+
+def generate_launch_description():
+    given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
+    place = [word for name in ("x", "y", "z", "yaw") for word in (f"--{name}", given[name])]
+    return LaunchDescription(
+        [
+            *(DeclareLaunchArgument(name, default_value=value, description=says) for name, (value, says) in ARGUMENTS.items()),
+            Node(
+                package="tf2_ros",
+                executable="static_transform_publisher",
+                arguments=[*place, "--frame-id", "map", "--child-frame-id", "scan"],
+            ),
+            Node(
+                package="uniground_ros",
+                executable="grounding",
+                name="uniground",
+                output="screen",
+                # As words, whatever they look like: launch would read some ids as numbers.
+                parameters=[{name: ParameterValue(given[name], value_type=str) for name in ("scene_id", "server")}],
+            ),
+        ]
+    )
