@@ -322,7 +322,10 @@ impl Bundle {
     pub fn weights_of(&self, network: &str) -> Result<Vec<String>, ModelError> {
         let file = self.path(network);
         let wrong = |why: String| ModelError::Bundle { file: file.clone(), why };
-        let named = external_data(&file).map_err(|e| wrong(e.to_string()))?;
+        let named = external_data(&file).map_err(|e| match e.kind() {
+            io::ErrorKind::NotFound => wrong("the file is missing".into()),
+            _ => wrong(e.to_string()),
+        })?;
         for name in &named {
             if !is_file(name) {
                 return Err(wrong(format!("its weights are said to lie in {name:?}, which is no file of the same folder")));
