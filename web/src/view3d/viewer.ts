@@ -1,0 +1,263 @@
+/**
+ * The room on a canvas. World frame as everywhere in uniground: metres, right-handed, Z up; nothing is mirrored or swapped.
+ *
+ * Knows nothing of the page around it. Draws when something changed, and then once; while the camera moves it draws as many
+ * points as keep the picture fluent, and all of them when it rests.
+ */
+
+import { Color, Object3D, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "three";
+import type { Aabb, InstanceView, Observer, OrientedBox } from "../api/types";
+import { Boxes, type DrawnBox } from "./boxes";
+import type { Cloud } from "./cloud";
+import { Controls, type Pose } from "./controls";
+import { Marks, type Point } from "./marks";
+import { Picker } from "./pick";
+import { type Colouring, CloudPoints, LIT, PLAIN, TINTED } from "./points";
+import { lookedThrough, wallsOf, type Wall } from "./walls";
+
+Object3D.DEFAULT_UP.set(0, 0, 1);
+
+export const EYE_HEIGHT_M = 1.6;
+
+/** Points drawn while the camera moves: at first, and at least. */
+const BUDGET = 1_000_000;
+const LEAST_BUDGET = 100_000;
+const FLUENT_MS = 40;
+
+/** Points that belong to nothing. */
+const NO_TONE: [number, number, number] = [150, 150, 150];
+
+export interface Picked { point: Point; instance: number }
+
+export class Viewer {
+  readonly controls: Controls;
+  readonly camera = new PerspectiveCamera(50, 1, 0.05, 200);
+  readonly boxes = new Boxes();
+  readonly marks = new Marks();
+  /** Called after each picture, for labels that hang on things. */
+  onDrawn: () => void = () => undefined;
+  /** Milliseconds the last pictures took while the camera moved. */
+  frame_ms = 0;
+  private readonly renderer: WebGLRenderer;
+  private readonly scene = new Scene();
+  private readonly picker = new Picker();
+  private readonly resizing: ResizeObserver;
+  private cloud: Cloud | null = null;
+  private points: CloudPoints | null = null;
+  private walls: Wall[] = [];
+  private cutWalls = true;
+  private cutHeight = Infinity;
+  private spacing_m = 0.02;
+  private painted: number[] = [];
+  private ground = [1, 1, 1];
+  private tones = new Map<number, [number, number, number]>();
+  private budget = BUDGET;
+  private request = 0;
+  private last = 0;
+  private rested = 0;
+
+  constructor(private readonly canvas: HTMLCanvasElement) {
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
+    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    this.scene.add(this.boxes.group, this.marks.group);
+    this.controls = new Controls(this.camera, canvas, () => this.draw());
+    this.resizing = new ResizeObserver(() => this.resize());
+    this.resizing.observe(canvas.parentElement!);
+    this.resize();
+  }
+
+  background(colour: string): void {
+    this.renderer.setClearColor(colour, 1);
+    // As the shader writes it: sRGB.
+    this.ground = new Color(colour).convertLinearToSRGB().toArray();
+    this.points?.set({ ground: this.ground });
+    this.draw();
+  }
+
+  /** Takes a cloud, whole or still empty; it stands where the extent says. */
+  load(cloud: Cloud, extent: Aabb, instances: Map<number, InstanceView>): void {
+    this.points?.dispose();
+    if (this.points) this.scene.remove(this.points.points);
+    this.cloud = cloud;
+    this.points = new CloudPoints(cloud, Math.max(0, ...instances.keys()));
+    this.scene.add(this.points.points);
+    const [dx, dy, dz] = extent.size as [number, number, number];
+    const bottom = extent.center[2]! - dz / 2;
+    // As far apart as points lie that are spread over the room's six sides.
+    this.spacing_m = Math.min(0.06, 1.4 * Math.sqrt((2 * (dx * dy + dy * dz + dx * dz)) / Math.max(1, cloud.count)));
+    this.points.set({ heights: [bottom, bottom + dz] });
+    this.walls = wallsOf(instances.values(), extent);
+    this.tones = tonesOf(instances);
+    for (const [id, tone] of this.tones) this.points.paint(id, tone, PLAIN);
+    this.points.paint(0, NO_TONE, PLAIN);
+    this.points.set({ ground: this.ground });
+    const reach = Math.hypot(dx, dy, dz);
+    this.controls.home = {
+      target: [extent.center[0]!, extent.center[1]!, bottom + dz * 0.35],
+      distance: reach * 0.98,
+      azimuth: -2.1,
+      elevation: 0.85,
+    };
+    this.resize();
+  }
+
+  /** More of the cloud has arrived. */
+  arrived(what: "points" | "instances"): void {
+    this.points?.arrived(what);
+    this.draw();
+  }
+
+  colour(mode: Colouring): void {
+    this.points?.set({ mode });
+    this.draw();
+  }
+
+  cut(walls: boolean, height: number): void {
+    [this.cutWalls, this.cutHeight] = [walls, height];
+    this.draw();
+  }
+
+  /** Brings out some instances before all others, and tints some. */
+  light(lit: number[], tinted: number[]): void {
+    const paint = (ids: number[], state: number) => ids.forEach((id) => this.points?.paint(id, this.tones.get(id) ?? NO_TONE, state));
+    paint(this.painted, PLAIN);
+    paint(tinted, TINTED);
+    paint(lit, LIT);
+    this.painted = [...lit, ...tinted];
+    this.points?.set({ fade: lit.length ? 1 : 0 });
+    this.draw();
+  }
+
+  showBoxes(boxes: DrawnBox[]): void {
+    this.boxes.show(boxes);
+    this.draw();
+  }
+
+  measure(ends: Point[]): void {
+    this.marks.measure(ends);
+    this.draw();
+  }
+
+  stand(observer: Observer | null): void {
+    this.marks.stand(observer);
+    this.draw();
+  }
+
+  /** Brings a box into the middle, seen from the room's inside. */
+  frame(box: OrientedBox): void {
+    const [x, y, z] = box.center as Point;
+    const { target } = this.controls.home;
+    const size = Math.hypot(...(box.size as Point));
+    const off = Math.hypot(target[0] - x, target[1] - y);
+    const azimuth = off > 0.5 ? Math.atan2(target[1] - y, target[0] - x) : this.controls.pose.azimuth;
+    if (this.controls.walking) this.controls.walk(false, 0);
+    this.controls.flyTo({ target: [x, y, z], distance: Math.max(1.8, size * 2.2), azimuth, elevation: 0.6 });
+  }
+
+  goTo(pose: Pose): void {
+    this.controls.pose = pose;
+    this.draw();
+  }
+
+  /** The point of the cloud at a place of the window. */
+  pick(clientX: number, clientY: number): Picked | null {
+    if (!this.points || !this.cloud) return null;
+    const { left, top } = this.canvas.getBoundingClientRect();
+    const i = this.picker.at(this.renderer, this.camera, this.points, clientX - left, clientY - top);
+    if (i === null) return null;
+    const [x, y, z] = this.cloud.positions.subarray(i * 3, i * 3 + 3);
+    return { point: [x!, y!, z!], instance: this.cloud.instances[i]! };
+  }
+
+  /** Where a place of the world lies on the canvas, CSS pixels; `null` behind the camera. */
+  project(point: Point): { x: number; y: number } | null {
+    const seen = new Vector3(...point).project(this.camera);
+    if (seen.z > 1) return null;
+    return { x: ((seen.x + 1) / 2) * this.canvas.clientWidth, y: ((1 - seen.y) / 2) * this.canvas.clientHeight };
+  }
+
+  draw(): void {
+    this.request ||= requestAnimationFrame((now) => this.picture(now));
+  }
+
+  private picture(now: number): void {
+    this.request = 0;
+    const { moving } = this.controls;
+    this.controls.apply(performance.now());
+    this.adapt(now, moving);
+    if (this.points && this.cloud) {
+      const { position } = this.camera;
+      const inside = this.controls.walking;
+      this.points.cut(this.cutWalls && !inside ? lookedThrough(this.walls, position.x, position.y) : []);
+      const share = moving ? Math.min(1, this.budget / this.cloud.count) : 1;
+      this.points.drawAtMost(Math.ceil(share * this.cloud.count));
+      const perMetre = (this.canvas.clientHeight * this.renderer.getPixelRatio()) / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
+      const pixelsPerMetre = (this.spacing_m * perMetre) / Math.sqrt(share);
+      this.points.set({ cutHeight: inside ? Infinity : this.cutHeight, pixelsPerMetre, smallest: this.renderer.getPixelRatio() });
+    }
+    this.renderer.render(this.scene, this.camera);
+    this.onDrawn();
+    if (moving) {
+      this.draw();
+      clearTimeout(this.rested);
+      this.rested = window.setTimeout(() => this.draw(), 120);
+    }
+  }
+
+  /** Fewer points where pictures are slow, more where there is time. */
+  private adapt(now: number, moving: boolean): void {
+    if (moving && this.last) {
+      const took = now - this.last;
+      this.frame_ms = this.frame_ms ? 0.8 * this.frame_ms + 0.2 * took : took;
+      if (took > FLUENT_MS) this.budget = Math.max(LEAST_BUDGET, this.budget * 0.8);
+      else if (took < FLUENT_MS / 2) this.budget = Math.min(20_000_000, this.budget * 1.1);
+    }
+    this.last = moving ? now : 0;
+  }
+
+  private resize(): void {
+    const { clientWidth: width, clientHeight: height } = this.canvas.parentElement!;
+    if (!width || !height) return;
+    this.renderer.setSize(width, height, false);
+    this.camera.aspect = width / height;
+    // A narrow window still shows the whole room.
+    this.camera.fov = width < height ? 65 : 50;
+    this.camera.updateProjectionMatrix();
+    this.draw();
+  }
+
+  dispose(): void {
+    cancelAnimationFrame(this.request);
+    clearTimeout(this.rested);
+    this.resizing.disconnect();
+    this.points?.dispose();
+    this.boxes.dispose();
+    this.marks.dispose();
+    this.picker.dispose();
+    this.renderer.dispose();
+  }
+}
+
+/** A tone for each instance, far from its neighbours' in number; parts of the building are grey. */
+function tonesOf(instances: Map<number, InstanceView>): Map<number, [number, number, number]> {
+  const tones = new Map<number, [number, number, number]>();
+  for (const [id, { structure }] of instances) {
+    if (structure) {
+      const grey = structure === "floor" ? 120 : 165;
+      tones.set(id, [grey, grey, grey]);
+    } else {
+      const hue = (id * 0.6180339887) % 1;
+      tones.set(id, tone(hue, 0.5 + 0.2 * ((id * 0.37) % 1), 0.5 + 0.15 * ((id * 0.73) % 1)));
+    }
+  }
+  return tones;
+}
+
+function tone(hue: number, saturation: number, lightness: number): [number, number, number] {
+  const chroma = saturation * Math.min(lightness, 1 - lightness);
+  const part = (n: number) => {
+    const k = (n + hue * 12) % 12;
+    return Math.round(255 * (lightness - chroma * Math.max(-1, Math.min(k - 3, 9 - k, 1))));
+  };
+  return [part(0), part(8), part(4)];
+}

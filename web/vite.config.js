@@ -1,0 +1,19 @@
+import { defineConfig } from "vite";
+
+/** Where a running service is, for `npm run dev`. */
+const server = process.env.UNIGROUND_URL ?? "http://127.0.0.1:8080";
+
+export default defineConfig({
+  server: { proxy: { "/v1": server, "/docs": server, "/openapi.json": server, "/readyz": server } },
+  build: {
+    target: "es2022",
+    outDir: "dist",
+    emptyOutDir: true,
+    assetsInlineLimit: 0,
+    // The polyfill is an inline script, which the page's policy forbids, and no browser of today needs it.
+    modulePreload: { polyfill: false },
+    // build/finish.js prints sizes as a browser loads them.
+    reportCompressedSize: false,
+    chunkSizeWarningLimit: 800,
+  },
+});
