@@ -5,11 +5,19 @@
 
 const plural = (n: number, one: string, many = `${one}s`) => `${n.toLocaleString("en")} ${n === 1 ? one : many}`;
 
+/** More than one of a thing, by the usual rules of spelling. */
+function several(name: string): string {
+  if (/(s|x|ch|sh)$/.test(name)) return `${name}es`;
+  if (/[^aeiou]y$/.test(name)) return `${name.slice(0, -1)}ies`;
+  if (/(lf|[^f]fe)$/.test(name)) return name.replace(/fe?$/, "ves");
+  return `${name}s`;
+}
+
 export const t = {
   title: "uniground",
   skip: "Skip to content",
   nav: { label: "Main", scenes: "Scenes", batches: "Batches", api: "API" },
-  theme: { label: "Colours", auto: "as the system", light: "light", dark: "dark" },
+  theme: { label: "Colours of the page", auto: "auto", light: "light", dark: "dark" },
   close: "Close",
   cancel: "Cancel",
   remove: "Delete",
@@ -173,7 +181,7 @@ export const t = {
       unique: (name: string) => `the ${name}`,
       on: (name: string, below: string) => `the ${name} on the ${below}`,
       closest: (name: string, other: string) => `the ${name} closest to the ${other}`,
-      count: (name: string) => `how many ${name}s are there?`,
+      count: (name: string) => `how many ${several(name)} are there?`,
     },
     history: "Asked before",
     noHistory: "Nothing was asked here yet.",
@@ -219,6 +227,7 @@ export const t = {
       not_listed: "The model sees it, but it is none of the things this room was cut into.",
     },
     several: (n: number) => `${plural(n, "thing")} meant`,
+    counted: (n: number, name: string) => `${n} × ${name}`,
     count: (n: number) => `There ${n === 1 ? "is" : "are"} ${n}.`,
     instance: (id: number) => `instance ${id}`,
     fields: "Six fields",
@@ -308,6 +317,7 @@ export const t = {
     flat: "Flat",
     names: "May be called",
     modelName: "The model says",
+    parts: "Parts",
     partOf: "Part of",
     madeOf: "Made of",
     carries: "Carries",

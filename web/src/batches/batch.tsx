@@ -120,8 +120,8 @@ function Results({ results, items }: { results: BatchResult[]; items: number }) 
         <table class="results">
           <thead>
             <tr>
-              {Object.values(columns).map((column) => (
-                <th scope="col" key={column}>
+              {Object.entries(columns).map(([name, column]) => (
+                <th scope="col" key={name} class={name === "item" || name === "confidence" ? "right" : ""}>
                   {column}
                 </th>
               ))}
@@ -141,7 +141,6 @@ function Results({ results, items }: { results: BatchResult[]; items: number }) 
 
 function ResultRow({ result }: { result: BatchResult }) {
   const answer = result.answer as Answer | null | undefined;
-  const id = answer?.answer.predicted_id;
   return (
     <tr>
       <td class="right figures">{result.item + 1}</td>
@@ -149,11 +148,17 @@ function ResultRow({ result }: { result: BatchResult }) {
       <td>
         <span class={`badge ${result.status}`}>{statusText(result.status)}</span>
       </td>
-      <td>{result.error ? result.error.detail : id != null ? `${answer!.answer.candidate_names[id] ?? ""} ${id}` : ""}</td>
+      <td>{result.error ? result.error.detail : answer ? chosen(answer) : ""}</td>
       <td class="right figures">{answer ? answer.confidence.toFixed(2) : ""}</td>
       <td class="figures">{answer?.box ? place(answer.box.center) : ""}</td>
     </tr>
   );
+}
+
+function chosen({ count, targets, answer: { predicted_id: id, candidate_names: names } }: Answer): string {
+  if (id == null) return "";
+  const name = targets?.find((target) => target.id === id)?.name ?? names[id] ?? "";
+  return count == null ? `${name} ${id}` : t.answer.counted(count, name);
 }
 
 const statusText = (status: string) => (t.answer.status as Record<string, string>)[status] ?? status;

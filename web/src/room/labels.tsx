@@ -1,6 +1,6 @@
 /** Names that hang on things in the picture, and the length of a measurement. Moved after each drawing, without rendering anew. */
 
-import { useEffect, useRef } from "preact/hooks";
+import { useLayoutEffect, useRef } from "preact/hooks";
 import { t } from "../text";
 import type { DrawnBox } from "../view3d/boxes";
 import type { Point } from "../view3d/marks";
@@ -13,7 +13,8 @@ export function Labels({ viewer, room }: { viewer: Viewer; room: Room }) {
   const place = useRef<HTMLDivElement>(null);
   const labels = [...room.boxes.value.map((box) => labelOf(box, room)), ...measured(room.ends.value)];
 
-  useEffect(() => {
+  // Before anybody sees them: a label at no place yet would flash in the corner.
+  useLayoutEffect(() => {
     const drawn = viewer.onDrawn;
     const move = () => {
       labels.forEach(({ at }, i) => {

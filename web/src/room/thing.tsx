@@ -17,9 +17,10 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
     if (document.activeElement === document.body) heading.current!.focus();
   }, [thing.id]);
   const all = room.instances.value;
-  const carried = [...all.values()].filter(({ support }) => support.on === "instance" && support.id === thing.id);
+  const carried = [...all.values()].filter(({ level, support }) => level === "thing" && support.on === "instance" && support.id === thing.id);
   const parts = [...all.values()].filter(({ level, things }) => level === "part" && things?.includes(thing.id));
   const { oriented_box: box } = thing;
+  const degrees = Math.round((box.yaw_rad * 180) / Math.PI);
   return (
     <article class="thing-details" data-instance={thing.id}>
       <button type="button" class="quiet" onClick={() => room.select(null)}>
@@ -32,7 +33,7 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
       <dl class="fields">
         <Row term={t.things.size}>{numbers(box.size)} m</Row>
         <Row term={t.things.centre}>{place(box.center)} m</Row>
-        {box.yaw_rad !== 0 && <Row term={t.things.yaw}>{((box.yaw_rad * 180) / Math.PI).toFixed(0)}°</Row>}
+        {degrees !== 0 && <Row term={t.things.yaw}>{degrees}°</Row>}
         <Row term={t.things.colours}>
           <Colours thing={thing} />
         </Row>
@@ -51,7 +52,7 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
           </Row>
         )}
         {parts.length > 0 && (
-          <Row term={t.things.levels.part}>
+          <Row term={t.things.parts}>
             <Links room={room} things={parts} />
           </Row>
         )}

@@ -85,6 +85,6 @@ function edges(role: Role, behind: boolean): LineSegments2 {
 }
 
 function faces(role: Role): Mesh {
-  const material = new MeshBasicMaterial({ color: COLOURS[role], transparent: true, opacity: 0.1, side: DoubleSide, depthWrite: false });
+  const material = new MeshBasicMaterial({ color: COLOURS[role], transparent: true, opacity: 0.06, side: DoubleSide, depthWrite: false });
   return new Mesh(new BoxGeometry(1, 1, 1), material);
 }

@@ -10,6 +10,7 @@ import type { Aabb, InstanceView, Observer, OrientedBox } from "../api/types";
 import { Boxes, type DrawnBox } from "./boxes";
 import type { Cloud } from "./cloud";
 import { Controls, type Pose } from "./controls";
+import { cornersOf, wholeRoom } from "./framing";
 import { Marks, type Point } from "./marks";
 import { Picker } from "./pick";
 import { type Colouring, CloudPoints, LIT, PLAIN, TINTED } from "./points";
@@ -23,6 +24,10 @@ export const EYE_HEIGHT_M = 1.6;
 const BUDGET = 1_000_000;
 const LEAST_BUDGET = 100_000;
 const FLUENT_MS = 40;
+
+/** From where the whole room is shown, radians. */
+const HOME_AZIMUTH = -2.1;
+const HOME_ELEVATION = 0.85;
 
 /** Points that belong to nothing. */
 const NO_TONE: [number, number, number] = [150, 150, 150];
@@ -48,6 +53,7 @@ export class Viewer {
   private cutWalls = true;
   private cutHeight = Infinity;
   private spacing_m = 0.02;
+  private corners: Point[] = [];
   private painted: number[] = [];
   private ground = [1, 1, 1];
   private tones = new Map<number, [number, number, number]>();
@@ -91,13 +97,7 @@ export class Viewer {
     for (const [id, tone] of this.tones) this.points.paint(id, tone, PLAIN);
     this.points.paint(0, NO_TONE, PLAIN);
     this.points.set({ ground: this.ground });
-    const reach = Math.hypot(dx, dy, dz);
-    this.controls.home = {
-      target: [extent.center[0]!, extent.center[1]!, bottom + dz * 0.35],
-      distance: reach * 0.98,
-      azimuth: -2.1,
-      elevation: 0.85,
-    };
+    this.corners = cornersOf(instances.values(), extent);
     this.resize();
   }
 
@@ -223,6 +223,7 @@ export class Viewer {
     // A narrow window still shows the whole room.
     this.camera.fov = width < height ? 65 : 50;
     this.camera.updateProjectionMatrix();
+    if (this.corners.length) this.controls.home = wholeRoom(this.camera, this.corners, HOME_AZIMUTH, HOME_ELEVATION);
     this.draw();
   }
 
