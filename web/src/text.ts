@@ -30,6 +30,7 @@ export const t = {
   no: "no",
   copied: "Copied",
   notCopied: "The browser did not allow copying.",
+  enlarge: (name: string) => `Enlarge: ${name}`,
   pictureMissing: "This picture is not kept any more.",
 
   key: {

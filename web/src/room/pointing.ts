@@ -20,7 +20,7 @@ export function usePointing(viewer: Viewer | null, canvas: RefObject<HTMLCanvasE
     };
     const hover = (event: PointerEvent) => {
       clearTimeout(resting);
-      if (event.buttons || event.pointerType === "touch" || viewer.controls.moving) return leave();
+      if (event.buttons || event.pointerType === "touch") return leave();
       resting = window.setTimeout(() => {
         const picked = viewer.pick(event.clientX, event.clientY);
         room.hovered.value = picked && picked.instance > 0 ? picked.instance : null;

@@ -30,7 +30,7 @@ export function ReportPanel({ room }: { room: Room }) {
       <h4>{t.report.pictures}</h4>
       {report.pictures.map(({ name, title, url }) => (
         <figure key={name}>
-          <Picture path={url} alt={title} class="wide" />
+          <Picture path={url} alt={title} class="wide" enlarge />
           <figcaption class="small">{title}</figcaption>
         </figure>
       ))}

@@ -68,7 +68,7 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
       {thing.views.length === 0 && <p class="small">{t.things.noViews}</p>}
       {thing.views.map((view, k) => (
         <figure key={view.frame}>
-          <Picture path={viewPath(room.id, thing.id, k, "frame")} alt={t.things.view(name, view.frame)} class="wide" />
+          <Picture path={viewPath(room.id, thing.id, k, "frame")} alt={t.things.view(name, view.frame)} class="wide" enlarge />
           <figcaption class="small">{t.things.view(name, view.frame)}</figcaption>
         </figure>
       ))}

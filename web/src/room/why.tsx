@@ -81,7 +81,7 @@ function Factors({ room, answer }: { room: Room; answer: Answer }) {
           </tbody>
         </table>
       )}
-      {answer.evidence?.map((path) => <Picture key={path} path={path} alt={t.why.picture(nameOf(path))} class="wide" />)}
+      {answer.evidence?.map((path) => <Picture key={path} path={path} alt={t.why.picture(nameOf(path))} class="wide" enlarge />)}
     </section>
   );
 }
@@ -129,7 +129,7 @@ function Call({ answer, call, reply, n }: CallProperties) {
       {call.user.map((part, i) =>
         "href" in part ? (
           <figure key={i}>
-            <Picture path={part.href} alt={t.why.picture(nameOf(part.href))} class="wide" />
+            <Picture path={part.href} alt={t.why.picture(nameOf(part.href))} class="wide" enlarge />
             <figcaption class="small">{nameOf(part.href)}</figcaption>
           </figure>
         ) : (

@@ -1,15 +1,17 @@
-/** A picture of the service's, shown also where a key is wanted. */
+/** A picture of the service's, shown also where a key is wanted; those that hold much can be enlarged. */
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import { borrowPicture, returnPicture } from "../api/pictures";
 import { t } from "../text";
+import { Dialog } from "./dialog";
 
-interface Properties { path: string; alt: string; class?: string; onLoad?: () => void }
+interface Properties { path: string; alt: string; class?: string; enlarge?: boolean }
 
-export function Picture({ path, alt, class: kind = "", onLoad }: Properties) {
+export function Picture({ path, alt, class: kind = "", enlarge }: Properties) {
   const [address, setAddress] = useState<string | null>(null);
   const [missing, setMissing] = useState(false);
   const [near, setNear] = useState(false);
+  const [large, setLarge] = useState(false);
   const place = useRef<HTMLSpanElement>(null);
 
   // Only what is about to be seen is fetched.
@@ -38,7 +40,17 @@ export function Picture({ path, alt, class: kind = "", onLoad }: Properties) {
 
   return (
     <span class={`picture ${kind}`} ref={place}>
-      {address && !missing && <img src={address} alt={alt} onLoad={onLoad} />}
+      {address && !missing && !enlarge && <img src={address} alt={alt} />}
+      {address && !missing && enlarge && (
+        <button type="button" class="enlarge" aria-label={t.enlarge(alt)} onClick={() => setLarge(true)}>
+          <img src={address} alt={alt} />
+        </button>
+      )}
+      {address && large && (
+        <Dialog title={alt} wide onClose={() => setLarge(false)}>
+          <img src={address} alt={alt} />
+        </Dialog>
+      )}
       {missing && <span class="missing">{t.pictureMissing}</span>}
     </span>
   );

@@ -23,6 +23,9 @@ const FARTHEST_M = 80;
 const FLIGHT_MS = 450;
 const WALK_STEP_M = 0.25;
 
+/** After so long without a change the view rests. */
+const REST_MS = 180;
+
 export class Controls {
   pose: Pose = { target: [0, 0, 1], distance: 8, azimuth: -1, elevation: 0.7 };
   walking = false;
@@ -31,6 +34,7 @@ export class Controls {
   onClick: (x: number, y: number) => void = () => undefined;
   private readonly pointers = new Map<number, { x: number; y: number }>();
   private travelled = 0;
+  private changed = -Infinity;
   private flight: { from: Pose; to: Pose; start: number } | null = null;
 
   constructor(
@@ -48,8 +52,9 @@ export class Controls {
     on("contextmenu", (event: Event) => event.preventDefault());
   }
 
+  /** Whether the view changes right now: by hand, by keys, by itself. */
   get moving(): boolean {
-    return this.pointers.size > 0 || this.flight !== null;
+    return this.flight !== null || performance.now() - this.changed < REST_MS;
   }
 
   /** Puts the camera where the pose says; `now` moves a flight on. */
@@ -98,6 +103,7 @@ export class Controls {
     pose.elevation = Math.min(HIGHEST, Math.max(LOWEST, pose.elevation));
     pose.distance = Math.min(FARTHEST_M, Math.max(NEAREST_M, pose.distance));
     this.pose = pose;
+    this.changed = performance.now();
     this.onMove();
   }
 

@@ -10,6 +10,8 @@ import type { Picked, Viewer } from "./viewer";
 export interface TestHook {
   /** Whether points, and whose they are, have arrived. */
   loaded(): { points: number; instances: boolean };
+  /** Points in the last picture. */
+  shown(): number;
   boxes(): DrawnBox[];
   /** Place of a point of the world in the window, CSS pixels. */
   project(point: Point): { x: number; y: number } | null;
@@ -24,6 +26,7 @@ declare global {
 export function offerHook(viewer: Viewer, canvas: HTMLCanvasElement, loaded: () => { points: number; instances: boolean }): void {
   window.unigroundPage = {
     loaded,
+    shown: () => viewer.shown,
     boxes: () => viewer.boxes.drawn,
     project: (point) => {
       const at = viewer.project(point);

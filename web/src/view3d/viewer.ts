@@ -43,6 +43,8 @@ export class Viewer {
   onDrawn: () => void = () => undefined;
   /** Milliseconds the last pictures took while the camera moved. */
   frame_ms = 0;
+  /** Points in the last picture; 0 before any arrived. */
+  shown = 0;
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
   private readonly picker = new Picker();
@@ -58,9 +60,9 @@ export class Viewer {
   private ground = [1, 1, 1];
   private tones = new Map<number, [number, number, number]>();
   private budget = BUDGET;
+  private has = false;
   private request = 0;
   private last = 0;
-  private rested = 0;
 
   constructor(private readonly canvas: HTMLCanvasElement) {
     this.renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
@@ -104,6 +106,7 @@ export class Viewer {
   /** More of the cloud has arrived. */
   arrived(what: "points" | "instances"): void {
     this.points?.arrived(what);
+    this.has = true;
     this.draw();
   }
 
@@ -151,7 +154,7 @@ export class Viewer {
     const off = Math.hypot(target[0] - x, target[1] - y);
     const azimuth = off > 0.5 ? Math.atan2(target[1] - y, target[0] - x) : this.controls.pose.azimuth;
     if (this.controls.walking) this.controls.walk(false, 0);
-    this.controls.flyTo({ target: [x, y, z], distance: Math.max(1.8, size * 2.2), azimuth, elevation: 0.6 });
+    this.controls.flyTo({ target: [x, y, z], distance: Math.max(2.4, size * 2.2), azimuth, elevation: 0.6 });
   }
 
   goTo(pose: Pose): void {
@@ -190,6 +193,7 @@ export class Viewer {
       const inside = this.controls.walking;
       this.points.cut(this.cutWalls && !inside ? lookedThrough(this.walls, position.x, position.y) : []);
       const share = moving ? Math.min(1, this.budget / this.cloud.count) : 1;
+      this.shown = this.has ? Math.ceil(share * this.cloud.count) : 0;
       this.points.drawAtMost(Math.ceil(share * this.cloud.count));
       const perMetre = (this.canvas.clientHeight * this.renderer.getPixelRatio()) / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
       const pixelsPerMetre = (this.spacing_m * perMetre) / Math.sqrt(share);
@@ -197,11 +201,8 @@ export class Viewer {
     }
     this.renderer.render(this.scene, this.camera);
     this.onDrawn();
-    if (moving) {
-      this.draw();
-      clearTimeout(this.rested);
-      this.rested = window.setTimeout(() => this.draw(), 120);
-    }
+    // On it goes until the view rests, and then once more with all points.
+    if (moving) this.draw();
   }
 
   /** Fewer points where pictures are slow, more where there is time. */
@@ -229,7 +230,6 @@ export class Viewer {
 
   dispose(): void {
     cancelAnimationFrame(this.request);
-    clearTimeout(this.rested);
     this.resizing.disconnect();
     this.points?.dispose();
     this.boxes.dispose();

@@ -12,11 +12,16 @@ const TYPES = { ".html": "text/html; charset=utf-8", ".js": "text/javascript; ch
 
 const dist = new URL("../../dist/", import.meta.url);
 
-/** The address of a front for the service at `address`. */
-export function front(address) {
+/** A front for the service at `address`; what `instead` gives for a path is answered in the service's place. */
+export function front(address, instead = () => null) {
   const { hostname, port } = new URL(address);
   const server = createServer((asked, answer) => {
     const path = asked.url.split("?")[0];
+    const other = instead(path);
+    if (other) {
+      answer.setHeader("content-length", other.length);
+      return void answer.end(other);
+    }
     const file = path === "/" || path === "/viewer" ? "index.html" : path.startsWith("/assets/") ? path.slice(1) : null;
     if (!file) {
       const passed = request({ hostname, port, path: asked.url, method: asked.method, headers: asked.headers }, (reply) => {
