@@ -233,9 +233,7 @@ export const t = {
     instance: (id: number) => `instance ${id}`,
     fields: "Six fields",
     field: {
-      predicted_id: "Predicted id",
-      explanation: "Explanation",
-      candidate_names: "Candidate names",
+      predicted_id: "Predicted id", explanation: "Explanation", candidate_names: "Candidate names",
       target_name_matches: "Target name matches",
       anchor_id: "Anchor id",
       relation_used: "Relation used",
@@ -279,9 +277,7 @@ export const t = {
     cost: (usd: number) => `${usd.toFixed(usd < 0.01 ? 5 : 3)} $`,
     call: (n: number, purpose: string) => `Call ${n}: ${purpose}`,
     purposes: {
-      parse: "reading the question",
-      naming: "naming candidates",
-      spatial: "deciding",
+      parse: "reading the question", naming: "naming candidates", spatial: "deciding",
       out_of_set: "asked again: no candidate of that number",
       unreadable: "asked again: could not be read",
       inconsistent: "asked again: the name speaks against it",

@@ -34,12 +34,18 @@ await page.waitForFunction(() => window.unigroundPage.loaded().instances, null, 
 console.log(`and whose they are: ${since()}, ${(received / 1e6).toFixed(1)} MB`);
 await page.waitForTimeout(3000);
 await page.locator("canvas").focus();
-for (let i = 0; i < 60; i++) {
-  await page.keyboard.press("ArrowLeft");
-  await page.waitForTimeout(60);
-}
-const { frame_ms } = await page.evaluate(() => window.unigroundPage.camera());
-console.log(`turning: ${frame_ms.toFixed(0)} ms a frame, of ${(await page.evaluate(() => window.unigroundPage.shown())).toLocaleString("en")} points`);
+const turned = await page.evaluate(async () => {
+  const canvas = document.querySelector("canvas");
+  const end = performance.now() + 6000;
+  let shown = 0;
+  while (performance.now() < end) {
+    canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
+    await new Promise((resolve) => requestAnimationFrame(resolve));
+    shown = window.unigroundPage.shown();
+  }
+  return { shown, frame_ms: window.unigroundPage.camera().frame_ms };
+});
+console.log(`turning: ${turned.frame_ms.toFixed(0)} ms a frame, of ${turned.shown.toLocaleString("en")} points`);
 await browser.close();
 before.close();
 await service.stop();

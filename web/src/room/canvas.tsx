@@ -17,8 +17,9 @@ import { Labels } from "./labels";
 import { usePointing } from "./pointing";
 import type { Room } from "./state";
 
-/** How often what has arrived of a cloud is drawn, milliseconds. */
-const DRAW_EVERY = 300;
+/** What has arrived of a cloud is drawn after this share, and then whenever there is so much more: each time costs all of it. */
+const FIRST_SHARE = 0.02;
+const MORE = 1.7;
 
 export function RoomCanvas({ room, onReady }: { room: Room; onReady: (showWhole: () => void) => void }) {
   const canvas = useRef<HTMLCanvasElement>(null);
@@ -105,7 +106,8 @@ async function loadCloud(
       },
     }),
   );
-  let drawn = 0;
+  let due = FIRST_SHARE;
+  viewer.loading = true;
   const cloud = await readCloud(
     counted,
     (empty) => {
@@ -115,12 +117,14 @@ async function loadCloud(
       startView(room, viewer);
     },
     () => {
-      if (performance.now() - drawn < DRAW_EVERY) return;
-      drawn = performance.now();
-      if (total) onShare(bytes / total);
+      const share = total ? bytes / total : 0;
+      if (share < due) return;
+      due = share * MORE;
+      onShare(share);
       viewer.arrived("points");
     },
   );
+  viewer.loading = false;
   viewer.arrived("points");
   loaded.points = cloud.count;
   onShare(null);

@@ -25,6 +25,12 @@ const BUDGET = 1_000_000;
 const LEAST_BUDGET = 100_000;
 const FLUENT_MS = 40;
 
+/** Fewer points are drawn wider, up to so many times: wide ones cost as much as many. */
+const WIDEST = 2.5;
+
+/** A picture at rest may take so many times as long: a second. */
+const AT_REST = 25;
+
 /** From where the whole room is shown, radians. */
 const HOME_AZIMUTH = -2.1;
 const HOME_ELEVATION = 0.85;
@@ -61,14 +67,18 @@ export class Viewer {
   private tones = new Map<number, [number, number, number]>();
   private budget = BUDGET;
   private has = false;
+  private moved = false;
+  /** More points are on their way. */
+  loading = false;
   private request = 0;
   private last = 0;
 
   constructor(private readonly canvas: HTMLCanvasElement) {
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, powerPreference: "high-performance" });
-    this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+    const card = hasGraphicsCard();
+    this.renderer = new WebGLRenderer({ canvas, antialias: card, powerPreference: "high-performance" });
+    this.renderer.setPixelRatio(card ? Math.min(devicePixelRatio, 2) : 1);
     this.scene.add(this.boxes.group, this.marks.group);
-    this.controls = new Controls(this.camera, canvas, () => this.draw());
+    this.controls = new Controls(this.camera, canvas, () => this.turned());
     this.resizing = new ResizeObserver(() => this.resize());
     this.resizing.observe(canvas.parentElement!);
     this.resize();
@@ -92,7 +102,7 @@ export class Viewer {
     const [dx, dy, dz] = extent.size as [number, number, number];
     const bottom = extent.center[2]! - dz / 2;
     // As far apart as points lie that are spread over the room's six sides.
-    this.spacing_m = Math.min(0.06, 1.4 * Math.sqrt((2 * (dx * dy + dy * dz + dx * dz)) / Math.max(1, cloud.count)));
+    this.spacing_m = Math.min(0.06, 1.7 * Math.sqrt((2 * (dx * dy + dy * dz + dx * dz)) / Math.max(1, cloud.count)));
     this.points.set({ heights: [bottom, bottom + dz] });
     this.walls = wallsOf(instances.values(), extent);
     this.tones = tonesOf(instances);
@@ -179,24 +189,32 @@ export class Viewer {
     return { x: ((seen.x + 1) / 2) * this.canvas.clientWidth, y: ((1 - seen.y) / 2) * this.canvas.clientHeight };
   }
 
+  private turned(): void {
+    this.moved = true;
+    this.draw();
+  }
+
   draw(): void {
     this.request ||= requestAnimationFrame((now) => this.picture(now));
   }
 
   private picture(now: number): void {
     this.request = 0;
-    const { moving } = this.controls;
+    // A picture that took long comes when the hand already rests: it moved all the same.
+    const moving = this.moved || this.controls.moving;
+    this.moved = false;
     this.controls.apply(performance.now());
     this.adapt(now, moving);
     if (this.points && this.cloud) {
       const { position } = this.camera;
       const inside = this.controls.walking;
       this.points.cut(this.cutWalls && !inside ? lookedThrough(this.walls, position.x, position.y) : []);
-      const share = moving ? Math.min(1, this.budget / this.cloud.count) : 1;
+      const most = moving || this.loading ? this.budget : this.budget * AT_REST;
+      const share = Math.min(1, most / this.cloud.count);
       this.shown = this.has ? Math.ceil(share * this.cloud.count) : 0;
       this.points.drawAtMost(Math.ceil(share * this.cloud.count));
       const perMetre = (this.canvas.clientHeight * this.renderer.getPixelRatio()) / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
-      const pixelsPerMetre = (this.spacing_m * perMetre) / Math.sqrt(share);
+      const pixelsPerMetre = this.spacing_m * perMetre * Math.min(WIDEST, 1 / Math.sqrt(share));
       this.points.set({ cutHeight: inside ? Infinity : this.cutHeight, pixelsPerMetre, smallest: this.renderer.getPixelRatio() });
     }
     this.renderer.render(this.scene, this.camera);
@@ -210,7 +228,7 @@ export class Viewer {
     if (moving && this.last) {
       const took = now - this.last;
       this.frame_ms = this.frame_ms ? 0.8 * this.frame_ms + 0.2 * took : took;
-      if (took > FLUENT_MS) this.budget = Math.max(LEAST_BUDGET, this.budget * 0.8);
+      if (took > FLUENT_MS) this.budget = Math.max(LEAST_BUDGET, this.budget * Math.max(0.4, FLUENT_MS / took));
       else if (took < FLUENT_MS / 2) this.budget = Math.min(20_000_000, this.budget * 1.1);
     }
     this.last = moving ? now : 0;
@@ -237,6 +255,16 @@ export class Viewer {
     this.picker.dispose();
     this.renderer.dispose();
   }
+}
+
+/** Where a processor draws in a graphics card's place, smooth edges and fine pixels cost more than they are worth. */
+function hasGraphicsCard(): boolean {
+  const context = document.createElement("canvas").getContext("webgl2");
+  if (!context) throw new Error("no WebGL 2");
+  const names = context.getExtension("WEBGL_debug_renderer_info");
+  const renderer = String(names && context.getParameter(names.UNMASKED_RENDERER_WEBGL));
+  context.getExtension("WEBGL_lose_context")?.loseContext();
+  return !/swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
 }
 
 /** A tone for each instance, far from its neighbours' in number; parts of the building are grey. */
