@@ -10,7 +10,7 @@ import { examplesFor } from "./examples";
 import { QuestionOptions } from "./options";
 import type { Room } from "./state";
 
-const REMEMBERED = 20;
+const REMEMBERED = 50;
 
 export function AskPanel({ room }: { room: Room }) {
   const field = useId();
@@ -63,13 +63,16 @@ export function AskPanel({ room }: { room: Room }) {
   );
 }
 
+/** A question that was asked several times stands there once, with its latest answer. */
+const latestOf = (answer: Answer, i: number, all: Answer[]) => all.findIndex(({ query }) => query === answer.query) === i;
+
 function History({ room }: { room: Room }) {
   const [answers, setAnswers] = useState<Answer[]>([]);
   const shown = room.answer.value?.id;
   useEffect(() => {
     let current = true;
     listAnswers(room.id, REMEMBERED).then(
-      (page) => current && setAnswers(page.answers),
+      (page) => current && setAnswers(page.answers.filter(latestOf)),
       () => undefined,
     );
     return () => {

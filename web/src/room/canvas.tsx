@@ -15,7 +15,7 @@ import { EYE_HEIGHT_M, Viewer } from "../view3d/viewer";
 import { readPose, writePose } from "./camera-link";
 import { Labels } from "./labels";
 import { usePointing } from "./pointing";
-import type { Room } from "./state";
+import { around, type Room } from "./state";
 
 /** What has arrived of a cloud is drawn after this share, and then whenever there is so much more: each time costs all of it. */
 const FIRST_SHARE = 0.02;
@@ -142,8 +142,8 @@ function startView(room: Room, viewer: Viewer): void {
     return;
   }
   viewer.goTo(viewer.controls.home);
-  const [first] = room.boxes.peek();
-  if (first) viewer.frame(first.box);
+  const boxes = room.boxes.peek().filter(({ role }) => role === "answer" || role === "selected").map(({ box }) => box);
+  if (boxes.length) viewer.frame(around(boxes));
 }
 
 function keepInStep(room: Room, viewer: Viewer): (() => void)[] {

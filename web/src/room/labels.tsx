@@ -7,7 +7,7 @@ import type { Point } from "../view3d/marks";
 import type { Viewer } from "../view3d/viewer";
 import type { Room } from "./state";
 
-interface Label { key: string; role: string; text: string; at: Point }
+interface Label { key: string; role: string; text: string; at: Point; below?: boolean }
 
 export function Labels({ viewer, room }: { viewer: Viewer; room: Room }) {
   const place = useRef<HTMLDivElement>(null);
@@ -17,12 +17,13 @@ export function Labels({ viewer, room }: { viewer: Viewer; room: Room }) {
   useLayoutEffect(() => {
     const drawn = viewer.onDrawn;
     const move = () => {
-      labels.forEach(({ at }, i) => {
+      labels.forEach(({ at, below }, i) => {
         const element = place.current?.children[i] as HTMLElement | undefined;
         const pixel = viewer.project(at);
         if (!element) return;
         element.hidden = !pixel;
-        if (pixel) element.style.transform = `translate(-50%, -100%) translate(${pixel.x.toFixed(1)}px, ${(pixel.y - 6).toFixed(1)}px)`;
+        const [hang, away] = below ? ["0", 6] : ["-100%", -6];
+        if (pixel) element.style.transform = `translate(-50%, ${hang}) translate(${pixel.x.toFixed(1)}px, ${(pixel.y + away).toFixed(1)}px)`;
       });
     };
     viewer.onDrawn = () => {
@@ -48,8 +49,10 @@ export function Labels({ viewer, room }: { viewer: Viewer; room: Room }) {
 }
 
 function labelOf({ instance, role, box: { center, size } }: DrawnBox, room: Room): Label {
-  const top: Point = [center[0]!, center[1]!, center[2]! + size[2]! / 2];
-  return { key: `${role}${instance}`, role, text: `${room.name(instance)} ${instance || ""}`.trim(), at: top };
+  // What carries the answer would have its name where the answer's stands: it hangs below.
+  const below = role === "anchor";
+  const at: Point = [center[0]!, center[1]!, center[2]! + (below ? -0.5 : 0.5) * size[2]!];
+  return { key: `${role}${instance}`, role, text: `${room.name(instance)} ${instance || ""}`.trim(), at, below };
 }
 
 function measured(ends: Point[]): Label[] {

@@ -138,8 +138,8 @@ export class Room {
     this.askProblem.value = null;
     this.selected.value = null;
     this.showCandidates.value = answer.status === "ambiguous";
-    const [first] = this.answerBoxes();
-    if (first && !stay) this.frame(first.box);
+    const boxes = this.answerBoxes().map(({ box }) => box);
+    if (boxes.length && !stay) this.frame(around(boxes));
     amend({ answer: answer.id, q: answer.query, thing: null, ...(stay ? {} : { cam: null }) }, !stay);
   }
 
@@ -212,6 +212,21 @@ export class Room {
     const oriented = turned ?? own;
     return { instance, role, box: this.boxKind.value !== "aligned" && oriented ? oriented : { ...box, yaw_rad: 0 } };
   }
+}
+
+/** What holds all of these. */
+export function around(boxes: OrientedBox[]): OrientedBox {
+  if (boxes.length === 1) return boxes[0]!;
+  const ends = [0, 1, 2].map((axis) => {
+    const sides = boxes.map(({ center, size, yaw_rad }) => {
+      const [cos, sin] = [Math.abs(Math.cos(yaw_rad)), Math.abs(Math.sin(yaw_rad))];
+      const [dx, dy, dz] = size as [number, number, number];
+      const reach = [cos * dx + sin * dy, sin * dx + cos * dy, dz][axis]! / 2;
+      return [center[axis]! - reach, center[axis]! + reach] as const;
+    });
+    return [Math.min(...sides.map(([low]) => low)), Math.max(...sides.map(([, high]) => high))] as const;
+  });
+  return { center: ends.map(([low, high]) => (low + high) / 2), size: ends.map(([low, high]) => high - low), yaw_rad: 0 };
 }
 
 /** Where the room is cut at first: below its ceiling, where one was scanned. */
