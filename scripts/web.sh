@@ -7,9 +7,10 @@ set -euo pipefail
 cd "$(dirname "$0")/../web"
 
 # Everything a build reads.
+sum=$(command -v sha256sum || echo shasum -a 256)
 hash_of_sources() {
     find src build index.html package.json package-lock.json tsconfig.json vite.config.js -type f -print0 |
-        LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum | cut -d ' ' -f 1
+        LC_ALL=C sort -z | xargs -0 $sum | $sum | cut -d ' ' -f 1
 }
 
 install() { [ -d node_modules ] && [ node_modules -nt package-lock.json ] || { npm ci --no-audit --no-fund --silent && touch node_modules; }; }

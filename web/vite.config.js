@@ -1,9 +1,23 @@
+import { readFileSync } from "node:fs";
 import { defineConfig } from "vite";
+
+/** What of others is in the page: their licences go along. */
+const CARRIED = ["three", "preact", "@preact/signals", "@preact/signals-core"];
+
+const licences = {
+  name: "licences",
+  generateBundle() {
+    const source = CARRIED.map((name) => `${name}\n\n${readFileSync(`node_modules/${name}/LICENSE`, "utf8").trim()}\n`).join("\n\n");
+    this.emitFile({ type: "asset", name: "licences.txt", source });
+  },
+};
+
 
 /** Where a running service is, for `npm run dev`. */
 const server = process.env.UNIGROUND_URL ?? "http://127.0.0.1:8080";
 
 export default defineConfig({
+  plugins: [licences],
   server: { proxy: { "/v1": server, "/docs": server, "/openapi.json": server, "/readyz": server } },
   build: {
     target: "es2022",

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFile } from "node:fs/promises";
 import { after, before, test } from "node:test";
-import { openPage, startBrowser } from "./support/browser.js";
+import { keep, openPage, startBrowser } from "./support/browser.js";
 import { parsedSample, startService } from "./support/service.js";
 
 let service, browser;
@@ -30,6 +30,7 @@ test("questions are pasted, results arrive in order, and are downloaded as JSONL
   assert.match(await rows.nth(3).textContent(), /query/);
   await page.getByText("4 of 4 answered").waitFor();
 
+  await keep(page, "batch");
   const save = async (name) => {
     const [file] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: `Download ${name}` }).click()]);
     return readFile(await file.path(), "utf8");

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { after, before, test } from "node:test";
-import { drawn, openPage, startBrowser } from "./support/browser.js";
+import { drawn, keep, openPage, startBrowser } from "./support/browser.js";
 import { parsedSample, startService } from "./support/service.js";
 
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
@@ -109,6 +109,7 @@ for (const colorScheme of ["light", "dark"]) {
       assert.deepEqual(words, [], place);
     };
     await page.locator(".card img").waitFor();
+    await keep(page, `scenes-${colorScheme}`);
     await check("scenes");
     await page.getByRole("link", { name: "living room" }).click();
     await drawn(page);
@@ -117,6 +118,7 @@ for (const colorScheme of ["light", "dark"]) {
     await page.getByRole("article", { name: "Answer" }).waitFor();
     await page.getByText("How to answer").click();
     await page.getByText(/^Candidates \(/).click();
+    await keep(page, `answer-${colorScheme}`);
     await check("an answer");
     await page.getByRole("tab", { name: "Why" }).click();
     await page.locator(".why img").waitFor();
@@ -152,6 +154,7 @@ test("a screen of 360 pixels has everything and never scrolls sideways", async (
   await page.getByRole("button", { name: "Ask", exact: true }).tap();
   await page.getByRole("article", { name: "Answer" }).waitFor();
   await fits("an answer");
+  await keep(page, "narrow");
   for (const tab of ["Why", "Things", "Report"]) {
     await page.getByRole("tab", { name: tab }).tap();
     await page.waitForTimeout(300);

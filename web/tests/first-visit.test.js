@@ -5,7 +5,7 @@ import { mkdtempSync, writeFileSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { after, before, test } from "node:test";
-import { drawn, openPage, startBrowser } from "./support/browser.js";
+import { drawn, keep, openPage, startBrowser } from "./support/browser.js";
 import { SAMPLE, startService } from "./support/service.js";
 
 let service, browser;
@@ -36,6 +36,7 @@ test("from the first visit to an answered question in fewer than five actions", 
   assert.match(await answer.textContent(), /mug/);
   assert.ok(actions < 5, `${actions} actions`);
 
+  await keep(page, "first-visit");
   const words = await seen();
   assert.ok(words.some((text) => /^(Sending|Unpacking)/.test(text)), words.join(" | "));
   assert.ok(words.some((text) => /Reading frames|Finding|Cutting|Joining|Measuring/.test(text)), words.join(" | "));
@@ -54,6 +55,7 @@ test("what can not be read is told with what to do, and the next try is one pres
   const problem = page.getByRole("alert").first();
   await problem.waitFor();
   assert.match(await problem.textContent(), /What to do:.*archive_unreadable/s);
+  await keep(page, "refused");
   await page.getByRole("button", { name: "Try another file" }).click();
 
   const wrong = join(folder, "holiday.mp4");

@@ -2,7 +2,7 @@
 
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
-import { openPage, startBrowser } from "./support/browser.js";
+import { keep, openPage, startBrowser } from "./support/browser.js";
 import { scriptedModel, sixLines } from "./support/model.js";
 import { parsedSample, startService } from "./support/service.js";
 
@@ -29,6 +29,7 @@ test("why: renders, collages, prompts, replies, corrections, tokens, cost and se
   await page.getByRole("button", { name: "Why this answer" }).click();
   const why = page.locator(".why");
   await why.getByText("Call 2: asked again: no candidate of that number").waitFor();
+  await keep(page, "why-by-a-model");
   const text = await why.textContent();
   assert.match(text, /2 calls · 1,400 \+ 80 tokens · 0\.00344 \$/);
   assert.match(text, /Predicted ID: 4711/);

@@ -3,7 +3,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { after, before, test } from "node:test";
-import { drawn, openPage, startBrowser } from "./support/browser.js";
+import { drawn, keep, openPage, startBrowser } from "./support/browser.js";
 import { decodePng } from "./support/pixels.js";
 import { parsedSample, startService } from "./support/service.js";
 
@@ -50,7 +50,7 @@ test("the answer's box is drawn around the right thing", async () => {
   const picked = await page.evaluate(({ x, y }) => window.unigroundPage.pick(x, y), middle);
   assert.equal(picked.instance, answer.instance);
   assert.ok(inside(picked.point, mug, 0.05), `${picked.point}`);
-  const shot = decodePng(await page.screenshot());
+  const shot = decodePng(await keep(page, "answer"));
   const corners = await page.evaluate((points) => points.map((point) => window.unigroundPage.project(point)), cornersOf(answer.box));
   const green = EDGES.filter(([a, b]) => hasGreen(shot, corners[a], corners[b])).length;
   assert.ok(green >= 9, `${green} of 12 edges are seen`);
@@ -128,6 +128,7 @@ test("a click on a thing names it and shows its photographs", async () => {
   const details = page.locator("[data-instance]");
   await details.waitFor();
   await details.locator(".crop img").waitFor();
+  await keep(page, "thing");
   assert.match(await details.textContent(), /Size.*Colours.*Rests on/s);
   assert.deepEqual(complaints, []);
   await close();
@@ -173,6 +174,7 @@ test("why: without a model, what counted", async () => {
   await why.getByText("What counted").waitFor();
   assert.match(await why.textContent(), /deciding.*coffee table.*builtin-3/s);
   await why.locator(".picture img").waitFor();
+  await keep(page, "why");
   assert.deepEqual(complaints, []);
   await close();
 });

@@ -1,6 +1,6 @@
 /** Bodies that arrive bit by bit: server-sent events, and a JSON text a line. By fetch, because EventSource can show no key. */
 
-import { request } from "./client";
+import { ProblemError, request } from "./client";
 import type { Job } from "./types";
 
 async function* linesOf(response: Response): AsyncGenerator<string> {
@@ -43,6 +43,12 @@ const PATIENCE_MS = [500, 1000, 2000, 5000];
 
 const pause = (ms: number) => new Promise((resolve) => setTimeout(resolve, ms));
 
+/** Refused, and trying again changes nothing. */
+function isFinal(thrown: unknown): boolean {
+  const status = thrown instanceof ProblemError ? thrown.problem.status : 0;
+  return status >= 400 && status < 500 && status !== 408 && status !== 429;
+}
+
 /** Follows a job to its end. A connection that breaks is taken up again where it broke. */
 export async function followJob(job: string, onProgress: (job: Job) => void, signal?: AbortSignal): Promise<Job> {
   let seen = "";
@@ -59,7 +65,7 @@ export async function followJob(job: string, onProgress: (job: Job) => void, sig
         if (event.event === "done") return state;
       }
     } catch (thrown) {
-      if (signal?.aborted || failures >= PATIENCE_MS.length) throw thrown;
+      if (signal?.aborted || failures >= PATIENCE_MS.length || isFinal(thrown)) throw thrown;
     }
     await pause(PATIENCE_MS[Math.min(failures, PATIENCE_MS.length - 1)]!);
   }

@@ -61,6 +61,9 @@ export function AnswerCard({ room, answer }: { room: Room; answer: Answer }) {
         <button type="button" class="quiet" onClick={() => void copy(asJson(room.request()))}>
           {t.answer.copies.json}
         </button>
+        <button type="button" class="quiet" onClick={() => void copy(JSON.stringify(answer, null, 2))}>
+          {t.answer.copies.answer}
+        </button>
       </div>
     </article>
   );

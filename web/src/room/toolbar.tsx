@@ -1,8 +1,9 @@
 /** How the room is shown, and the tools to use on it. */
 
-import { useId } from "preact/hooks";
+import { useId, useState } from "preact/hooks";
 import { t } from "../text";
 import { copy } from "../ui/copy";
+import { Dialog } from "../ui/dialog";
 import type { Point } from "../view3d/marks";
 import type { Colouring } from "../view3d/points";
 import type { BoxKind, Room } from "./state";
@@ -12,6 +13,7 @@ export function Toolbar({ room, onWhole }: { room: Room; onWhole: () => void }) 
   const bottom = extent.center[2]! - extent.size[2]! / 2;
   const top = bottom + extent.size[2]!;
   const height = Math.min(room.cutHeight.value, top);
+  const [helping, setHelping] = useState(false);
   const measuring = room.tool.value === "measure";
   const measure = () => {
     room.tool.value = measuring ? "look" : "measure";
@@ -59,7 +61,15 @@ export function Toolbar({ room, onWhole }: { room: Room; onWhole: () => void }) 
         <button type="button" class="quiet" onClick={() => void copy(location.href, t.room.linkCopied)}>
           {t.room.link}
         </button>
+        <button type="button" class="quiet" onClick={() => setHelping(true)}>
+          {t.room.help}
+        </button>
       </span>
+      {helping && (
+        <Dialog title={t.room.helpTitle} onClose={() => setHelping(false)}>
+          <p>{t.room.canvasHelp}</p>
+        </Dialog>
+      )}
     </div>
   );
 }

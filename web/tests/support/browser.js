@@ -1,6 +1,7 @@
 // A browser without a screen, that draws WebGL in software; and what tests do with a page in it.
 
 import { existsSync } from "node:fs";
+import { fileURLToPath } from "node:url";
 import { chromium } from "playwright-core";
 
 const program = process.env.CHROMIUM ?? ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"].find(existsSync);
@@ -24,6 +25,11 @@ export async function openPage(browser, address, options = {}) {
   });
   await page.goto(address);
   return { page, complaints, close: () => context.close() };
+}
+
+/** Keeps a picture of the page, for people: `web/shots/NAME.png`. */
+export function keep(page, name) {
+  return page.screenshot({ path: fileURLToPath(new URL(`../../shots/${name}.png`, import.meta.url)) });
 }
 
 /** Until points, and whose they are, are drawn and the view rests. */
