@@ -28,6 +28,7 @@ COPY migrations migrations
 COPY examples/living_room.zip examples/
 COPY crates crates
 COPY src src
+COPY web/dist web/dist
 # Copied files keep their times and may be older than what was just built: cargo must see that these have changed.
 RUN touch src/main.rs src/lib.rs crates/*/src/lib.rs && cargo build --release --locked --bin uniground
 # ONNX Runtime from its Python package, checked against its hash.

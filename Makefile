@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-pointed bench-http openapi python-client test-python schemathesis clean
+.PHONY: web web-check web-test demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-pointed bench-http openapi python-client test-python schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -34,6 +34,16 @@ deny: ## Licences, bans and sources of what we depend on (installs cargo-deny in
 
 fmt:
 	$(CARGO) fmt --all
+
+web: ## The page, from web/ into web/dist, which is committed (Node 20.19 or newer, npm)
+	scripts/web.sh
+
+web-check: ## Whether web/dist belongs to its sources; where npm is there, by building it again
+	scripts/web.sh check
+
+web-test: ## The page in a headless Chromium against the real server (npm, Debian's chromium)
+	$(CARGO) build --release --locked --quiet
+	scripts/test-web.sh
 
 book: ## The manual as pages, to target/book (installs mdbook into .venv-book)
 	PYTHON=$(PYTHON) scripts/book.sh

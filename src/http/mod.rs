@@ -11,6 +11,7 @@ mod hosts;
 mod instances;
 mod jobs;
 mod keys;
+mod page;
 mod paging;
 mod problem;
 mod reports;
@@ -147,14 +148,15 @@ pub fn openapi() -> utoipa::openapi::OpenApi {
 pub fn router(app: App) -> Router {
     let (router, openapi) = routes().split_for_parts();
     // Nobody outside is asked whether the description is valid.
-    let page = SwaggerUi::new("/docs")
+    let description = SwaggerUi::new("/docs")
         .url("/openapi.json", openapi)
         .config(Config::default().validator_url("none"));
     router
         .layer(middleware::from_fn_with_state(app.clone(), auth::check))
         .with_state(app.clone())
-        // Health, the description and its page are open to everybody: the key protects scans and questions.
-        .merge(page)
+        // Health, the description and the pages are open to everybody: the key protects scans and questions.
+        .merge(description)
+        .merge(page::router())
         .fallback(problem::no_such_route)
         .method_not_allowed_fallback(problem::method_not_allowed)
         .layer(middleware::from_fn_with_state(app.clone(), hosts::check))

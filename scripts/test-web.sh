@@ -1,0 +1,18 @@
+#!/usr/bin/env bash
+# The page: types, whether web/dist belongs to its sources, and a headless browser against the real server.
+#
+# Needs Node 20.19 with npm, Debian's chromium (or CHROMIUM=program), and the server built (or UNIGROUND=program).
+# Where Node or Chromium is missing it says so and leaves out what wants them.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+command -v npm >/dev/null || { scripts/web.sh check && echo "left out: the page's tests, there is no npm" && exit 0; }
+(cd web && npm ci --no-audit --no-fund --silent && touch node_modules)
+scripts/web.sh check
+
+chromium=${CHROMIUM:-$(command -v chromium || command -v chromium-browser || command -v google-chrome || true)}
+[ -n "$chromium" ] || { echo "left out: the page in a browser, there is no chromium (Debian: apt-get install chromium)"; exit 0; }
+program=${UNIGROUND:-$PWD/target/release/uniground}
+[ -x "$program" ] || { echo "build the server first: cargo build --release" >&2; exit 1; }
+cd web
+CHROMIUM=$chromium UNIGROUND=$program node --test --test-concurrency=1 --test-timeout=120000 --test-reporter=spec tests/*.test.js

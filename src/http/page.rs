@@ -1,0 +1,143 @@
+//! `/`, `/viewer` and `/assets/…`: the page people open. It is built from `web/` (`make web`) and carried in the program, so that it
+//! works offline. No key is wanted for it: it holds nothing, and asks the API like everybody else.
+
+use super::problem::no_such_route;
+use axum::Router;
+use axum::body::Bytes;
+use axum::extract::Path;
+use axum::http::{HeaderMap, HeaderValue, StatusCode, Uri, header};
+use axum::response::{IntoResponse, Response};
+use axum::routing::get;
+use flate2::Compression;
+use flate2::write::GzEncoder;
+use rust_embed::Embed;
+use std::collections::BTreeMap;
+use std::io::Write;
+use std::sync::LazyLock;
+
+#[derive(Embed)]
+#[folder = "web/dist"]
+#[exclude = "SOURCES"]
+struct Built;
+
+/// What the page may load and do: only what is its own, nothing inline, in nobody's frame. Pictures come through `fetch`, which can
+/// show a key, and are drawn from memory (`blob:`).
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; \
+    base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
+
+/// The first file: it names the others, so it is asked for anew each time.
+const INDEX: &str = "index.html";
+const ASK_AGAIN: &str = "no-cache";
+
+/// The others have a hash of their bytes in their names.
+const FOR_EVER: &str = "public, max-age=31536000, immutable";
+
+/// A file of the page, as it is and compressed.
+struct File {
+    media_type: &'static str,
+    plain: Bytes,
+    gzip: Bytes,
+}
+
+static FILES: LazyLock<BTreeMap<String, File>> = LazyLock::new(|| {
+    let files = Built::iter().filter_map(|name| Some((name.to_string(), File::of(&name, Built::get(&name)?.data.into_owned()))));
+    files.collect()
+});
+
+impl File {
+    fn of(name: &str, plain: Vec<u8>) -> Self {
+        let media_type = match name.rsplit_once('.').map(|(_, end)| end) {
+            Some("html") => "text/html; charset=utf-8",
+            Some("js") => "text/javascript; charset=utf-8",
+            Some("css") => "text/css; charset=utf-8",
+            Some("svg") => "image/svg+xml",
+            Some("txt") => "text/plain; charset=utf-8",
+            _ => "application/octet-stream",
+        };
+        let gzip = compressed(&plain).unwrap_or_default();
+        Self { media_type, plain: plain.into(), gzip: gzip.into() }
+    }
+
+    fn answer(&self, asked: &HeaderMap, keep: &'static str) -> Response {
+        let headers = [
+            (header::CONTENT_TYPE, self.media_type),
+            (header::CACHE_CONTROL, keep),
+            (header::CONTENT_SECURITY_POLICY, POLICY),
+            (header::VARY, "accept-encoding"),
+        ];
+        let mut response = headers.into_response();
+        if takes_gzip(asked) && !self.gzip.is_empty() {
+            response.headers_mut().insert(header::CONTENT_ENCODING, HeaderValue::from_static("gzip"));
+            *response.body_mut() = self.gzip.clone().into();
+        } else {
+            *response.body_mut() = self.plain.clone().into();
+        }
+        response
+    }
+}
+
+fn compressed(plain: &[u8]) -> std::io::Result<Vec<u8>> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+    encoder.write_all(plain)?;
+    encoder.finish()
+}
+
+fn takes_gzip(asked: &HeaderMap) -> bool {
+    let taken = asked.get_all(header::ACCEPT_ENCODING).iter().filter_map(|value| value.to_str().ok());
+    taken.flat_map(|value| value.split(',')).any(|coding| {
+        let (name, weight) = coding.split_once(';').unwrap_or((coding, "q=1"));
+        name.trim().eq_ignore_ascii_case("gzip") && !matches!(weight.trim(), "q=0" | "q=0.0" | "q=0.00" | "q=0.000")
+    })
+}
+
+/// The page's routes.
+pub fn router<S: Clone + Send + Sync + 'static>() -> Router<S> {
+    Router::new()
+        .route("/", get(index))
+        .route("/viewer", get(index))
+        .route("/assets/{name}", get(asset))
+}
+
+async fn index(headers: HeaderMap) -> Response {
+    FILES
+        .get(INDEX)
+        .map_or_else(|| StatusCode::NOT_FOUND.into_response(), |file| file.answer(&headers, ASK_AGAIN))
+}
+
+async fn asset(Path(name): Path<String>, uri: Uri, headers: HeaderMap) -> Response {
+    match FILES.get(&format!("assets/{name}")) {
+        Some(file) => file.answer(&headers, FOR_EVER),
+        None => no_such_route(uri).await.into_response(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn everything_the_index_names_is_carried() {
+        let index = String::from_utf8(FILES[INDEX].plain.to_vec()).unwrap();
+        let named: Vec<&str> = index
+            .split('"')
+            .filter_map(|text| text.strip_prefix('/'))
+            .filter(|path| path.starts_with("assets/"))
+            .collect();
+        assert!(named.len() >= 2, "{index}");
+        assert!(named.iter().all(|path| FILES.contains_key(*path)), "{named:?}");
+    }
+
+    #[test]
+    fn nothing_inline_and_nothing_from_elsewhere() {
+        let index = String::from_utf8(FILES[INDEX].plain.to_vec()).unwrap();
+        assert!(!index.contains("<style") && !index.contains("style=") && !index.contains("http"), "{index}");
+        assert!(index.split("<script").skip(1).all(|script| script.contains("src=\"/assets/")), "{index}");
+    }
+
+    #[test]
+    fn gzip_is_sent_to_who_takes_it() {
+        let asked = |coding: &'static str| HeaderMap::from_iter([(header::ACCEPT_ENCODING, HeaderValue::from_static(coding))]);
+        assert!(takes_gzip(&asked("br, gzip;q=0.8")) && takes_gzip(&asked("GZIP")));
+        assert!(!takes_gzip(&asked("br")) && !takes_gzip(&asked("gzip;q=0")) && !takes_gzip(&HeaderMap::new()));
+    }
+}

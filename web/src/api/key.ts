@@ -1,0 +1,32 @@
+/** The caller's key: entered once, kept for this tab only, shown to no origin but the page's own. */
+
+import { signal } from "@preact/signals";
+
+const PLACE = "uniground.key";
+
+/** Why a key is asked for: set when the service refused one, or none. */
+export const keyWanted = signal<string | null>(null);
+
+export function currentKey(): string | null {
+  return sessionStorage.getItem(PLACE);
+}
+
+export function keepKey(key: string): void {
+  sessionStorage.setItem(PLACE, key.trim());
+}
+
+export function forgetKey(): void {
+  sessionStorage.removeItem(PLACE);
+}
+
+/** The address a path means, refused where it is not this origin's: a link in an answer must not carry the key away. */
+export function ownAddress(path: string): string {
+  const address = new URL(path, location.origin);
+  if (address.origin !== location.origin) throw new TypeError(`not of this server: ${path}`);
+  return address.href;
+}
+
+export function keyHeaders(): Record<string, string> {
+  const key = currentKey();
+  return key ? { authorization: `Bearer ${key}` } : {};
+}

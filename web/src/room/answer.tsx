@@ -1,0 +1,194 @@
+/** An answer: what was found, how sure, how the question was read, and what else it may mean. */
+
+import type { Answer } from "../api/types";
+import { amend } from "../route";
+import { t } from "../text";
+import { copy } from "../ui/copy";
+import { Meter, numbers, place, Row } from "../ui/fields";
+import { Picture } from "../ui/picture";
+import { asCurl, asJson, asPython } from "./snippets";
+import type { Room } from "./state";
+
+export function AnswerCard({ room, answer }: { room: Room; answer: Answer }) {
+  const { status, targets = [] } = answer;
+  const percent = Math.round(answer.confidence * 100);
+  return (
+    <article class={`answer ${status}`} aria-label={t.answer.title} data-answer={answer.id}>
+      <p class="answer-head">
+        <span class={`badge ${status}`}>{t.answer.status[status]}</span>
+        <Meter share={answer.confidence} label={t.answer.sure(percent)} />
+        <span>{t.answer.sure(percent)}</span>
+      </p>
+      <Headline room={room} answer={answer} />
+      <p>{answer.answer.explanation}</p>
+      {answer.degraded && <p class="warn">{t.answer.degraded}</p>}
+      {!answer.stored && <p class="warn">{t.answer.notStored}</p>}
+      {!room.sameParse.value && <p class="warn">{t.room.otherParse}</p>}
+      {answer.seen && <Seen answer={answer} />}
+      {targets.length > 1 && (
+        <>
+          <h4>{t.answer.several(targets.length)}</h4>
+          <Instances room={room} entries={targets.map(({ id, name, confidence }) => ({ id, name, share: confidence }))} />
+        </>
+      )}
+      {answer.alternatives.length > 0 && (
+        <>
+          <h4>{t.answer.alternatives}</h4>
+          <Instances room={room} entries={answer.alternatives.map(({ id, confidence }) => ({ id, name: room.name(id), share: confidence }))} />
+        </>
+      )}
+      <Reading answer={answer} />
+      <SixFields answer={answer} />
+      {answer.candidates && answer.candidates.length > 0 && (
+        <details open={room.showCandidates.value} onToggle={(event) => (room.showCandidates.value = event.currentTarget.open)}>
+          <summary>
+            {t.answer.candidates} ({answer.candidates.length})
+          </summary>
+          <Instances room={room} entries={answer.candidates.map(({ id, score }) => ({ id, name: room.name(id), share: score }))} />
+        </details>
+      )}
+      <div class="buttons copies">
+        <button type="button" onClick={() => amend({ tab: "why" }, true)}>
+          {t.answer.why}
+        </button>
+        <span class="small">{t.answer.copy}</span>
+        <button type="button" class="quiet" onClick={() => void copy(asCurl(room.id, room.request()))}>
+          {t.answer.copies.curl}
+        </button>
+        <button type="button" class="quiet" onClick={() => void copy(asPython(room.id, room.request()))}>
+          {t.answer.copies.python}
+        </button>
+        <button type="button" class="quiet" onClick={() => void copy(asJson(room.request()))}>
+          {t.answer.copies.json}
+        </button>
+        <button type="button" class="quiet" onClick={() => void copy(JSON.stringify(answer, null, 2))}>
+          {t.answer.copies.answer}
+        </button>
+      </div>
+    </article>
+  );
+}
+
+function Headline({ room, answer }: { room: Room; answer: Answer }) {
+  const { status, targets = [], answer: fields, box } = answer;
+  const meaning = t.answer.meaning[status];
+  const id = fields.predicted_id;
+  return (
+    <>
+      {answer.count != null && <p class="big">{t.answer.count(answer.count)}</p>}
+      {id != null && (
+        <p class="big">
+          <button type="button" class="thing" onClick={() => room.sameParse.value && room.select(id)}>
+            {targets.find((target) => target.id === id)?.name ?? room.name(id)}
+          </button>{" "}
+          <span class="small">{t.answer.instance(id)}</span>
+        </p>
+      )}
+      {box && (
+        <p class="figures small">
+          {t.answer.size(numbers(box.size))} · {t.answer.centre(place(box.center))}
+        </p>
+      )}
+      {meaning && <p>{meaning}</p>}
+      {answer.no_match_reason && <p>{t.answer.reasons[answer.no_match_reason]}</p>}
+    </>
+  );
+}
+
+/** Where a model sees what is no instance: the picture, and the place in it. */
+function Seen({ answer }: { answer: Answer }) {
+  const seen = answer.seen!;
+  const path = answer.evidence?.find((path) => path.endsWith(`/${seen.picture}.jpg`));
+  const [x, y] = seen.at as [number, number];
+  return (
+    <figure class="seen">
+      {path && (
+        <span class="pinned">
+          <Picture path={path} alt={t.answer.seen(seen.name)} />
+          <span class="pin" aria-hidden="true" style={{ left: `${x * 100}%`, top: `${y * 100}%` }} />
+        </span>
+      )}
+      <figcaption>{t.answer.seen(seen.name)}</figcaption>
+    </figure>
+  );
+}
+
+function Instances({ room, entries }: { room: Room; entries: { id: number; name: string; share: number }[] }) {
+  return (
+    <ul class="lines">
+      {entries.map(({ id, name, share }) => (
+        <li key={id}>
+          <button
+            type="button"
+            class="line"
+            aria-pressed={room.selected.value === id}
+            disabled={!room.sameParse.value}
+            onClick={() => room.select(id)}
+            onMouseEnter={() => (room.hovered.value = id)}
+            onMouseLeave={() => (room.hovered.value = null)}
+          >
+            <span class="number">{id}</span>
+            <span>{name}</span>
+            <Meter share={share} label={share.toFixed(2)} />
+            <span class="figures">{share.toFixed(2)}</span>
+          </button>
+        </li>
+      ))}
+    </ul>
+  );
+}
+
+function Reading({ answer: { parsed_query: read } }: { answer: Answer }) {
+  const parts: [string, string[]][] = [
+    [t.answer.target, read.target ? [read.target] : []],
+    [t.answer.attributes, read.attributes],
+    [t.answer.relations, read.relations],
+    [t.answer.anchors, read.anchors],
+  ];
+  return (
+    <>
+      <h4>{t.answer.reading}</h4>
+      <dl class="reading">
+        {parts.map(
+          ([term, words]) =>
+            words.length > 0 && (
+              <Row key={term} term={term}>
+                {words.map((word, i) => (
+                  <span key={i} class="word">
+                    {word}
+                  </span>
+                ))}
+              </Row>
+            ),
+        )}
+        {read.not_understood.length > 0 && (
+          <Row term={t.answer.notUnderstood}>
+            {read.not_understood.map((word, i) => (
+              <span key={i} class="word lost">
+                {word}
+              </span>
+            ))}
+          </Row>
+        )}
+      </dl>
+    </>
+  );
+}
+
+function SixFields({ answer: { answer: fields } }: { answer: Answer }) {
+  const names = Object.entries(fields.candidate_names);
+  const matches = fields.target_name_matches;
+  return (
+    <details>
+      <summary>{t.answer.fields}</summary>
+      <dl class="fields">
+        <Row term={t.answer.field.predicted_id}>{fields.predicted_id ?? t.none}</Row>
+        <Row term={t.answer.field.explanation}>{fields.explanation}</Row>
+        <Row term={t.answer.field.candidate_names}>{names.length ? names.map(([id, name]) => `${id} ${name}`).join(", ") : t.none}</Row>
+        <Row term={t.answer.field.target_name_matches}>{matches == null ? t.none : matches ? t.yes : t.no}</Row>
+        <Row term={t.answer.field.anchor_id}>{fields.anchor_id ?? t.none}</Row>
+        <Row term={t.answer.field.relation_used}>{fields.relation_used ?? t.none}</Row>
+      </dl>
+    </details>
+  );
+}

@@ -1,0 +1,82 @@
+/** An open room: its picture, and beside or below it the panels. */
+
+import { useEffect, useMemo, useRef } from "preact/hooks";
+import { amend, route } from "../route";
+import { JobProgress } from "../scenes/job";
+import { t } from "../text";
+import { ofJob, ProblemNote } from "../ui/problem";
+import { panelId, tabId, Tabs } from "../ui/tabs";
+import { AskPanel } from "./ask";
+import { RoomCanvas } from "./canvas";
+import { ReportPanel } from "./report";
+import { Room, TABS } from "./state";
+import { ThingsPanel } from "./things";
+import { Toolbar, ToolHint } from "./toolbar";
+import { WhyPanel } from "./why";
+
+export function RoomPlace({ scene: id }: { scene: string }) {
+  const room = useMemo(() => new Room(id), [id]);
+  const showWhole = useRef<() => void>(() => undefined);
+
+  useEffect(() => {
+    const stop = new AbortController();
+    void room.load(stop.signal);
+    return () => stop.abort();
+  }, [room]);
+
+  const scene = room.scene.value;
+  useEffect(() => {
+    if (scene) document.title = `${scene.name} · ${t.title}`;
+  }, [scene]);
+
+  // Back and forward go through the answers.
+  const linked = route.value.parameters.get("answer");
+  useEffect(() => {
+    if (!room.scene.peek() || linked === (room.answer.peek()?.id ?? null)) return;
+    if (linked) void room.open(linked);
+    else room.answer.value = null;
+  }, [linked]);
+
+  // A thing that was clicked in the picture is told about where things are listed.
+  const selected = room.selected.value;
+  useEffect(() => {
+    if (selected !== null && room.tab.peek() === "report") amend({ tab: "things" });
+  }, [selected]);
+
+  if (room.problem.value) return <ProblemNote problem={room.problem.value} onAgain={() => location.reload()} />;
+  if (!scene) return <p class="wait">{t.loading}</p>;
+  if (scene.status !== "ready") return <NotReady room={room} />;
+  if (room.instances.value.size === 0) return <p class="wait">{t.loading}</p>;
+
+  const tab = room.tab.value;
+  return (
+    <div class="room">
+      <section class="stage" aria-label={scene.name}>
+        <h1 class="room-name">{scene.name}</h1>
+        <RoomCanvas room={room} onReady={(whole) => (showWhole.current = whole)} />
+        <ToolHint room={room} />
+        <Toolbar room={room} onWhole={() => showWhole.current()} />
+      </section>
+      <section class="side">
+        <Tabs label={t.room.tabs.label} names={TABS} texts={t.room.tabs} chosen={tab} onChoose={(name) => amend({ tab: name })} />
+        <div class="panel" role="tabpanel" id={panelId(tab)} aria-labelledby={tabId(tab)} tabIndex={0}>
+          {tab === "ask" && <AskPanel room={room} />}
+          {tab === "why" && <WhyPanel room={room} />}
+          {tab === "things" && <ThingsPanel room={room} />}
+          {tab === "report" && <ReportPanel room={room} />}
+        </div>
+      </section>
+    </div>
+  );
+}
+
+function NotReady({ room }: { room: Room }) {
+  const scene = room.scene.value!;
+  return (
+    <div class="place">
+      <h1>{scene.name}</h1>
+      {scene.error ? <ProblemNote problem={ofJob(scene.error, t.scenes.status.failed)} /> : <p>{t.scenes.notReady}</p>}
+      {scene.status === "parsing" && scene.job_id && <JobProgress job={scene.job_id} onDone={() => location.reload()} />}
+    </div>
+  );
+}

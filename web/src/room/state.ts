@@ -1,0 +1,236 @@
+/** What is known about an open room, and what its panels and its picture share. */
+
+import { computed, signal } from "@preact/signals";
+import { asProblem } from "../api/client";
+import { allInstances, getAnswer, getModels, getScene, ground } from "../api/service";
+import type { Answer, GroundRequest, InstanceView, ModelList, Observer, OrientedBox, Problem, Scene } from "../api/types";
+import { amend, route } from "../route";
+import type { DrawnBox } from "../view3d/boxes";
+import type { Point } from "../view3d/marks";
+import type { Colouring } from "../view3d/points";
+
+export type BoxKind = "turned" | "aligned" | "none";
+export type Tool = "look" | "measure" | "observer";
+export type Tab = "ask" | "why" | "things" | "report";
+
+export const TABS: readonly Tab[] = ["ask", "why", "things", "report"];
+
+/** Where the eyes of an observer are that is placed by a click on the floor. */
+export const OBSERVER_HEIGHT_M = 1.5;
+
+/** What a question may be asked with, beside its words. */
+export type Options = Required<Pick<GroundRequest, "reasoner" | "top_k" | "direction_convention" | "evidence" | "parser">> & {
+  min_confidence: number;
+  max_cost_usd: number | null;
+};
+
+export class Room {
+  readonly scene = signal<Scene | null>(null);
+  readonly instances = signal<Map<number, InstanceView>>(new Map());
+  readonly models = signal<ModelList | null>(null);
+  readonly problem = signal<Problem | null>(null);
+
+  readonly question = signal("");
+  readonly options = signal<Options>({
+    reasoner: "auto", top_k: 5, direction_convention: "paper", evidence: "full", parser: "builtin", min_confidence: 0.5, max_cost_usd: null,
+  });
+  readonly observer = signal<Observer | null>(null);
+  /** Whether the observer's direction is set as well. */
+  readonly observerPlaced = signal(true);
+  readonly asking = signal(false);
+  readonly answer = signal<Answer | null>(null);
+  readonly askProblem = signal<Problem | null>(null);
+  readonly showCandidates = signal(false);
+
+  readonly selected = signal<number | null>(null);
+  readonly hovered = signal<number | null>(null);
+  readonly colouring = signal<Colouring>("photograph");
+  readonly boxKind = signal<BoxKind>("turned");
+  readonly cutWalls = signal(true);
+  readonly cutHeight = signal(Infinity);
+  readonly walking = signal(false);
+  readonly tool = signal<Tool>("look");
+  readonly ends = signal<Point[]>([]);
+  readonly measureFrom = signal<number | null>(null);
+
+  /** Set by the picture: brings a box into the middle. */
+  frame: (box: OrientedBox) => void = () => undefined;
+
+  readonly tab = computed<Tab>(() => TABS.find((tab) => tab === route.value.parameters.get("tab")) ?? "ask");
+  /** Whether numbers in the answer are those of the list of things. */
+  readonly sameParse = computed(() => this.answer.value === null || this.answer.value.parse_version === this.scene.value?.parse_version);
+  readonly boxes = computed<DrawnBox[]>(() => this.drawnBoxes());
+  /** Things that stand out: what was chosen by hand, else what the answer means. */
+  readonly lit = computed<number[]>(() => {
+    const lit = this.selected.value !== null ? [this.selected.value] : this.sameParse.value ? this.meant() : [];
+    return lit.flatMap((id) => this.thingsOf(id));
+  });
+  readonly tinted = computed<number[]>(() => (this.hovered.value === null ? [] : this.thingsOf(this.hovered.value)));
+
+  constructor(readonly id: string) {}
+
+  async load(signal: AbortSignal): Promise<void> {
+    try {
+      const scene = await getScene(this.id, signal);
+      this.scene.value = scene;
+      if (scene.status !== "ready") return;
+      const instances = await allInstances(this.id, signal);
+      this.instances.value = new Map(instances.map((instance) => [instance.id, instance]));
+      this.cutHeight.value = ceilingOf(instances);
+      await this.reopen();
+      this.models.value = await getModels().catch(() => null);
+    } catch (thrown) {
+      if (!signal.aborted) this.problem.value = asProblem(thrown);
+    }
+  }
+
+  /** What a link asks for. */
+  private async reopen(): Promise<void> {
+    const { parameters } = route.peek();
+    const [answer, selected] = [parameters.get("answer"), Number(parameters.get("thing"))];
+    this.question.value = parameters.get("q") ?? "";
+    if (this.instances.value.has(selected)) this.selected.value = selected;
+    if (answer) await this.open(answer, parameters.has("cam"));
+  }
+
+  async ask(): Promise<void> {
+    const query = this.question.value.trim();
+    if (!query || this.asking.value) return;
+    this.asking.value = true;
+    this.askProblem.value = null;
+    try {
+      this.show(await ground(this.id, this.request()));
+    } catch (thrown) {
+      this.askProblem.value = asProblem(thrown);
+    } finally {
+      this.asking.value = false;
+    }
+  }
+
+  /** The request as it is sent, and as it is copied: what is left at its default is left out. */
+  request(): GroundRequest {
+    const { reasoner, top_k, direction_convention, evidence, parser, min_confidence, max_cost_usd } = this.options.value;
+    const request: GroundRequest = { query: this.question.value.trim() };
+    if (top_k !== 5) request.top_k = top_k;
+    if (reasoner !== "auto") request.reasoner = reasoner;
+    if (direction_convention !== "paper") request.direction_convention = direction_convention;
+    if (evidence !== "full") request.evidence = evidence;
+    if (parser !== "builtin") request.parser = parser;
+    if (min_confidence !== 0.5) request.min_confidence = min_confidence;
+    if (max_cost_usd !== null) request.max_cost_usd = max_cost_usd;
+    if (this.observer.value) request.observer = this.observer.value;
+    return request;
+  }
+
+  /** An answer that was given before. */
+  async open(id: string, stay = false): Promise<void> {
+    try {
+      const answer = await getAnswer(id);
+      this.question.value = answer.query;
+      this.show(answer, stay);
+    } catch (thrown) {
+      this.askProblem.value = asProblem(thrown);
+    }
+  }
+
+  show(answer: Answer, stay = false): void {
+    this.answer.value = answer;
+    this.askProblem.value = null;
+    this.selected.value = null;
+    this.showCandidates.value = answer.status === "ambiguous";
+    const boxes = this.answerBoxes().map(({ box }) => box);
+    if (boxes.length && !stay) this.frame(around(boxes));
+    amend({ answer: answer.id, q: answer.query, thing: null, ...(stay ? {} : { cam: null }) }, !stay);
+  }
+
+  select(id: number | null, look = true): void {
+    this.selected.value = id;
+    amend({ thing: id === null ? null : String(id) });
+    const instance = id === null ? null : this.instances.value.get(id);
+    if (instance && look) this.frame(instance.oriented_box);
+  }
+
+  /** Height of the floor, metres. */
+  floor(): number {
+    const floors = [...this.instances.peek().values()].filter(({ structure }) => structure === "floor");
+    const largest = floors.sort((a, b) => b.point_count - a.point_count)[0];
+    if (largest) return largest.box.center[2]!;
+    const extent = this.scene.peek()?.extent;
+    return extent ? extent.center[2]! - extent.size[2]! / 2 : 0;
+  }
+
+  name(id: number): string {
+    const given = this.sameParse.value ? this.instances.value.get(id) : undefined;
+    return this.answer.value?.answer.candidate_names[id] ?? given?.model_name ?? given?.label ?? "";
+  }
+
+  /** Points know their thing only: a part has its thing's, a whole those of all it is made of. */
+  private thingsOf(id: number): number[] {
+    const instance = this.instances.value.get(id);
+    return instance?.things?.length ? instance.things : [id];
+  }
+
+  /** Numbers of what the answer means. */
+  private meant(): number[] {
+    const answer = this.answer.value;
+    if (!answer) return [];
+    if (answer.targets?.length) return answer.targets.map(({ id }) => id);
+    return answer.answer.predicted_id == null ? [] : [answer.answer.predicted_id];
+  }
+
+  private answerBoxes(): DrawnBox[] {
+    const answer = this.answer.value;
+    if (!answer) return [];
+    const drawn = (answer.targets ?? []).map(({ id, box, oriented_box }) => this.drawn(id, "answer", box, oriented_box));
+    if (!drawn.length && answer.box) drawn.push(this.drawn(answer.answer.predicted_id ?? 0, "answer", answer.box, answer.oriented_box));
+    if (!drawn.length && answer.status === "ambiguous") {
+      for (const { id, box } of answer.alternatives) drawn.push(this.drawn(id, "candidate", box));
+    }
+    return drawn;
+  }
+
+  private drawnBoxes(): DrawnBox[] {
+    const boxes = this.answerBoxes();
+    const add = (id: number | null | undefined, role: DrawnBox["role"]) => {
+      const instance = id == null ? undefined : this.instances.value.get(id);
+      if (instance && boxes.every((box) => box.instance !== id)) boxes.push(this.drawn(id!, role, instance.box, instance.oriented_box));
+    };
+    add(this.selected.value, "selected");
+    add(this.hovered.value, "hovered");
+    if (this.boxKind.value === "none") return boxes.filter(({ role }) => role === "answer" || role === "selected");
+    if (this.sameParse.value) add(this.answer.value?.answer.anchor_id, "anchor");
+    if (this.showCandidates.value) {
+      for (const { id, box } of this.answer.value?.candidates ?? []) {
+        if (boxes.every((drawn) => drawn.instance !== id)) boxes.push(this.drawn(id, "candidate", box));
+      }
+    }
+    return boxes;
+  }
+
+  private drawn(instance: number, role: DrawnBox["role"], box: { center: number[]; size: number[] }, turned?: OrientedBox | null): DrawnBox {
+    const own = this.sameParse.value ? this.instances.value.get(instance)?.oriented_box : null;
+    const oriented = turned ?? own;
+    return { instance, role, box: this.boxKind.value !== "aligned" && oriented ? oriented : { ...box, yaw_rad: 0 } };
+  }
+}
+
+/** What holds all of these. */
+export function around(boxes: OrientedBox[]): OrientedBox {
+  if (boxes.length === 1) return boxes[0]!;
+  const ends = [0, 1, 2].map((axis) => {
+    const sides = boxes.map(({ center, size, yaw_rad }) => {
+      const [cos, sin] = [Math.abs(Math.cos(yaw_rad)), Math.abs(Math.sin(yaw_rad))];
+      const [dx, dy, dz] = size as [number, number, number];
+      const reach = [cos * dx + sin * dy, sin * dx + cos * dy, dz][axis]! / 2;
+      return [center[axis]! - reach, center[axis]! + reach] as const;
+    });
+    return [Math.min(...sides.map(([low]) => low)), Math.max(...sides.map(([, high]) => high))] as const;
+  });
+  return { center: ends.map(([low, high]) => (low + high) / 2), size: ends.map(([low, high]) => high - low), yaw_rad: 0 };
+}
+
+/** Where the room is cut at first: below its ceiling, where one was scanned. */
+function ceilingOf(instances: InstanceView[]): number {
+  const ceilings = instances.filter(({ structure }) => structure === "ceiling");
+  return Math.min(Infinity, ...ceilings.map(({ box }) => box.center[2]! - box.size[2]! / 2 - 0.05));
+}

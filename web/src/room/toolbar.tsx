@@ -1,0 +1,113 @@
+/** How the room is shown, and the tools to use on it. */
+
+import { useId, useState } from "preact/hooks";
+import { t } from "../text";
+import { copy } from "../ui/copy";
+import { Dialog } from "../ui/dialog";
+import type { Point } from "../view3d/marks";
+import type { Colouring } from "../view3d/points";
+import type { BoxKind, Room } from "./state";
+
+export function Toolbar({ room, onWhole }: { room: Room; onWhole: () => void }) {
+  const extent = room.scene.value!.extent!;
+  const bottom = extent.center[2]! - extent.size[2]! / 2;
+  const top = bottom + extent.size[2]!;
+  const height = Math.min(room.cutHeight.value, top);
+  const [helping, setHelping] = useState(false);
+  const measuring = room.tool.value === "measure";
+  const measure = () => {
+    room.tool.value = measuring ? "look" : "measure";
+    if (measuring) room.ends.value = [];
+  };
+  return (
+    <div class="toolbar" role="toolbar" aria-label={t.room.view}>
+      <Select
+        label={t.room.colour}
+        texts={t.room.colours}
+        value={room.colouring.value}
+        onChange={(value: Colouring) => (room.colouring.value = value)}
+      />
+      <Select label={t.room.boxes} texts={t.room.boxKinds} value={room.boxKind.value} onChange={(value: BoxKind) => (room.boxKind.value = value)} />
+      <label class="slide">
+        {t.room.cut}
+        <input
+          type="range"
+          min={bottom + 0.1}
+          max={top + 0.01}
+          step={0.05}
+          value={height}
+          aria-valuetext={t.metres(height)}
+          onInput={(event) => {
+            const chosen = event.currentTarget.valueAsNumber;
+            room.cutHeight.value = chosen >= top - 0.02 ? Infinity : chosen;
+          }}
+        />
+        <output>{t.metres(height)}</output>
+      </label>
+      <label class="check">
+        <input type="checkbox" checked={room.cutWalls.value} onChange={(event) => (room.cutWalls.value = event.currentTarget.checked)} />
+        {t.room.cutWalls}
+      </label>
+      <span class="buttons">
+        <button type="button" class="quiet" onClick={onWhole}>
+          {t.room.whole}
+        </button>
+        <button type="button" class="quiet" aria-pressed={room.walking.value} onClick={() => (room.walking.value = !room.walking.value)}>
+          {t.room.walk}
+        </button>
+        <button type="button" class="quiet" aria-pressed={measuring} onClick={measure}>
+          {t.room.measure}
+        </button>
+        <button type="button" class="quiet" onClick={() => void copy(location.href, t.room.linkCopied)}>
+          {t.room.link}
+        </button>
+        <button type="button" class="quiet" onClick={() => setHelping(true)}>
+          {t.room.help}
+        </button>
+      </span>
+      {helping && (
+        <Dialog title={t.room.helpTitle} onClose={() => setHelping(false)}>
+          <p>{t.room.canvasHelp}</p>
+        </Dialog>
+      )}
+    </div>
+  );
+}
+
+function Select<Name extends string>(properties: { label: string; texts: Record<Name, string>; value: Name; onChange: (value: Name) => void }) {
+  const { label, texts, value, onChange } = properties;
+  const id = useId();
+  return (
+    <span class="choose">
+      <label for={id}>{label}</label>
+      <select id={id} value={value} onChange={(event) => onChange(event.currentTarget.value as Name)}>
+        {(Object.keys(texts) as Name[]).map((name) => (
+          <option key={name} value={name}>
+            {texts[name]}
+          </option>
+        ))}
+      </select>
+    </span>
+  );
+}
+
+/** What to do next with the tool in hand, and what came of it. */
+export function ToolHint({ room }: { room: Room }) {
+  const words = hint(room);
+  return words ? (
+    <p class="hint" role="status">
+      {words}
+    </p>
+  ) : null;
+}
+
+function hint(room: Room): string | null {
+  if (room.tool.value === "observer") return t.ask.placing[room.observerPlaced.value ? 0 : 1]!;
+  const ends = room.ends.value;
+  if (ends.length === 2) {
+    const [a, b] = ends as [Point, Point];
+    const [dx, dy, dz] = [0, 1, 2].map((i) => Math.abs(a[i]! - b[i]!)) as [number, number, number];
+    return t.room.measured(t.metres(Math.hypot(dx, dy, dz)), t.metres(dx), t.metres(dy), t.metres(dz));
+  }
+  return room.tool.value === "measure" ? t.room.measuring[ends.length]! : null;
+}

@@ -1,0 +1,152 @@
+/** A scan on its way: dropped or chosen, sent, parsed, opened. */
+
+import { useEffect, useRef, useState } from "preact/hooks";
+import { asProblem, wasAborted } from "../api/client";
+import { ACCEPTED, mediaTypeOf, type Sent, uploadScan } from "../api/upload";
+import type { Created, Job, Problem } from "../api/types";
+import { address } from "../route";
+import { t } from "../text";
+import { ofJob, ProblemNote } from "../ui/problem";
+import { say } from "../ui/say";
+import { JobProgress, Progress } from "./job";
+
+type Step =
+  | { at: "idle" }
+  | { at: "sending"; file: File; sent: Sent | null; started: number; stop: AbortController }
+  | { at: "parsing"; created: Created }
+  | { at: "ready"; created: Created }
+  | { at: "failed"; problem: Problem };
+
+export function Upload({ onCreated }: { onCreated: () => void }) {
+  const [step, setStep] = useState<Step>({ at: "idle" });
+  const [over, setOver] = useState(false);
+  const input = useRef<HTMLInputElement>(null);
+
+  const refuse = (detail: string) =>
+    setStep({ at: "failed", problem: { type: "about:blank", title: t.upload.title, status: 0, detail, code: "unsupported_media_type" } });
+
+  const take = async (file: File) => {
+    if (!mediaTypeOf(file.name)) return refuse(t.upload.wrongKind(file.name));
+    const stop = new AbortController();
+    const sending: Step = { at: "sending", file, sent: null, started: Date.now(), stop };
+    setStep(sending);
+    try {
+      const created = await uploadScan(file, (sent) => setStep({ ...sending, sent }), stop.signal);
+      onCreated();
+      // The same scan again is ready at once.
+      setStep({ at: created.scene.status === "ready" ? "ready" : "parsing", created });
+    } catch (thrown) {
+      setStep(wasAborted(thrown) ? { at: "idle" } : { at: "failed", problem: asProblem(thrown) });
+    }
+  };
+
+  const parsed = (created: Created, job: Job) => {
+    onCreated();
+    if (job.state === "succeeded") {
+      say(t.upload.ready(created.scene.name));
+      setStep({ at: "ready", created });
+    } else if (job.error) {
+      setStep({ at: "failed", problem: ofJob(job.error, t.scenes.status.failed) });
+    } else {
+      setStep({ at: "idle" });
+    }
+  };
+
+  // A scan may be dropped anywhere on the page.
+  useEffect(() => {
+    const hover = (event: DragEvent) => {
+      event.preventDefault();
+      setOver(event.type === "dragover");
+    };
+    const drop = (event: DragEvent) => {
+      event.preventDefault();
+      setOver(false);
+      const entry = event.dataTransfer?.items[0]?.webkitGetAsEntry?.();
+      const file = event.dataTransfer?.files[0];
+      if (entry?.isDirectory) refuse(t.upload.folder);
+      else if (file) void take(file);
+    };
+    addEventListener("dragover", hover);
+    addEventListener("dragleave", hover);
+    addEventListener("drop", drop);
+    return () => {
+      removeEventListener("dragover", hover);
+      removeEventListener("dragleave", hover);
+      removeEventListener("drop", drop);
+    };
+  }, []);
+
+  return (
+    <section class="upload" data-over={over} aria-label={t.upload.title}>
+      {step.at === "idle" && (
+        <p>
+          {t.upload.drop}{" "}
+          <button type="button" class="main" onClick={() => input.current!.click()}>
+            {t.upload.choose}
+          </button>
+          <span class="small">{t.upload.what}</span>
+        </p>
+      )}
+      {step.at === "sending" && <Sending {...step} />}
+      {step.at === "parsing" && step.created.job && (
+        <>
+          <b>{step.created.scene.name}</b>
+          <JobProgress
+            job={step.created.job.id}
+            onDone={(job) => parsed(step.created, job)}
+            onLost={(thrown) => setStep({ at: "failed", problem: asProblem(thrown) })}
+          />
+        </>
+      )}
+      {step.at === "ready" && (
+        <p>
+          {t.upload.ready(step.created.scene.name)}{" "}
+          <a class="button main" href={address(["scenes", step.created.scene.id])}>
+            {t.upload.open}
+          </a>{" "}
+          <button type="button" class="quiet" onClick={() => setStep({ at: "idle" })}>
+            {t.upload.dismiss}
+          </button>
+        </p>
+      )}
+      {step.at === "failed" && (
+        <>
+          <ProblemNote problem={step.problem} />
+          <button type="button" onClick={() => setStep({ at: "idle" })}>
+            {t.upload.again}
+          </button>
+        </>
+      )}
+      <input
+        ref={input}
+        type="file"
+        class="offscreen"
+        tabIndex={-1}
+        accept={ACCEPTED}
+        aria-label={t.upload.title}
+        onChange={(event) => {
+          const file = event.currentTarget.files?.[0];
+          event.currentTarget.value = "";
+          if (file) void take(file);
+        }}
+      />
+    </section>
+  );
+}
+
+function Sending({ file, sent, started, stop }: Extract<Step, { at: "sending" }>) {
+  const share = sent && sent.total ? sent.bytes / sent.total : 0;
+  const left_s = share > 0.02 && share < 1 ? ((Date.now() - started) / 1000) * (1 / share - 1) : null;
+  const words = share === 1 ? t.upload.checking : t.upload.sending(t.bytes(sent?.bytes ?? 0), t.bytes(file.size));
+  return (
+    <>
+      <b>{file.name}</b>
+      <div class="job">
+        <Progress share={share} words={words} eta_s={left_s} />
+        <button type="button" class="quiet" onClick={() => stop.abort()}>
+          {t.upload.stop}
+        </button>
+      </div>
+    </>
+  );
+}

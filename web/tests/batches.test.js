@@ -1,0 +1,52 @@
+// A list of questions: pasted, watched, taken home.
+
+import assert from "node:assert/strict";
+import { readFile } from "node:fs/promises";
+import { after, before, test } from "node:test";
+import { keep, openPage, startBrowser } from "./support/browser.js";
+import { parsedSample, startService } from "./support/service.js";
+
+let service, browser;
+before(async () => {
+  service = await startService();
+  browser = await startBrowser();
+  await parsedSample(service.api);
+});
+after(async () => {
+  await browser?.close();
+  await service?.stop();
+});
+
+test("questions are pasted, results arrive in order, and are downloaded as JSONL and CSV", async () => {
+  const { page, complaints, close } = await openPage(browser, `${service.page}/#/batches`);
+  await page.getByLabel("Questions").fill('the red sofa\nhow many mugs are there?\n{"query": "the bathtub", "top_k": 3}\n{"top_k": 3}');
+  await page.getByText("4 questions").waitFor();
+  await page.getByRole("button", { name: "Ask them all" }).click();
+  const rows = page.locator(".results tbody tr");
+  await rows.nth(3).waitFor();
+  assert.match(await rows.nth(0).textContent(), /the red sofa.*found/);
+  assert.match(await rows.nth(2).textContent(), /the bathtub.*no match/);
+  // What is wrong with one question fails that one alone, and says why.
+  assert.match(await rows.nth(3).textContent(), /query/);
+  await page.getByText("4 of 4 answered").waitFor();
+
+  await keep(page, "batch");
+  const save = async (name) => {
+    const [file] = await Promise.all([page.waitForEvent("download"), page.getByRole("button", { name: `Download ${name}` }).click()]);
+    return readFile(await file.path(), "utf8");
+  };
+  const lines = (await save("JSONL")).trim().split("\n").map((line) => JSON.parse(line));
+  assert.deepEqual(lines.map(({ item }) => item), [0, 1, 2, 3]);
+  const table = await save("CSV");
+  assert.ok(table.includes("the red sofa") && table.trim().split(/\r?\n/).length === 5, table);
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
+test("a line that can not be read is named before anything is sent", async () => {
+  const { page, close } = await openPage(browser, `${service.page}/#/batches`);
+  await page.getByLabel("Questions").fill('the red sofa\n{"query": "the');
+  await page.getByText("Line 2 begins like JSON and can not be read.").waitFor();
+  assert.equal(await page.getByRole("button", { name: "Ask them all" }).isDisabled(), true);
+  await close();
+});
