@@ -278,8 +278,8 @@ pub async fn embeddings(State(app): State<App>, Path(scene_id): Path<String>) ->
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn frames(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Json<FrameList>, Refused> {
-    Ok(Json(app.service.frames(&scene_id).await?))
+pub async fn frames(State(app): State<App>, Path(scene_id): Path<String>) -> Result<axum::Json<FrameList>, Refused> {
+    Ok(axum::Json(app.service.frames(&scene_id).await?))
 }
 
 /// Streams a stored file.
