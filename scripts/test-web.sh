@@ -15,4 +15,8 @@ chromium=${CHROMIUM:-$(command -v chromium || command -v chromium-browser || com
 program=${UNIGROUND:-$PWD/target/release/uniground}
 [ -x "$program" ] || { echo "build the server first: cargo build --release" >&2; exit 1; }
 cd web
-CHROMIUM=$chromium UNIGROUND=$program node --test --test-concurrency=1 --test-timeout=120000 --test-reporter=spec tests/*.test.js
+export CHROMIUM=$chromium UNIGROUND=$program
+UNIGROUND_SAMPLE_DATA=$(node tests/support/prepare.js)
+export UNIGROUND_SAMPLE_DATA
+trap 'rm -rf "$UNIGROUND_SAMPLE_DATA"' EXIT
+node --test --test-concurrency=1 --test-timeout=120000 --test-reporter=spec tests/*.test.js

@@ -1,6 +1,7 @@
 import "./style/base.css";
 import "./style/parts.css";
 import "./style/places.css";
+import "./style/room.css";
 import { render } from "preact";
 import { App } from "./app";
 

@@ -12,7 +12,7 @@ const KEY = "a-key-for-tests-0123456789abcdef0123456789";
 
 let service, browser, scene;
 before(async () => {
-  service = await startService([], { UNIGROUND_API_KEY: KEY });
+  service = await startService({ environment: { UNIGROUND_API_KEY: KEY } });
   browser = await startBrowser();
   scene = await parsedSample(service.api, { authorization: `Bearer ${KEY}` });
 });

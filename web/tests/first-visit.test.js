@@ -10,7 +10,7 @@ import { SAMPLE, startService } from "./support/service.js";
 
 let service, browser;
 before(async () => {
-  service = await startService();
+  service = await startService({ empty: true });
   browser = await startBrowser();
 });
 after(async () => {

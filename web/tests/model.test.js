@@ -10,7 +10,7 @@ let model, service, browser, scene;
 before(async () => {
   model = await scriptedModel([sixLines(4711), sixLines(86)]);
   const priced = ["--vlm-url", model.address, "--vlm-model", "scripted", "--vlm-prompt-usd", "2", "--vlm-completion-usd", "8", "--vlm-backoff-ms", "1"];
-  service = await startService(priced);
+  service = await startService({ further: priced });
   browser = await startBrowser();
   scene = await parsedSample(service.api);
 });

@@ -6,7 +6,7 @@ import { t } from "../text";
 export function ProblemNote({ problem, onAgain }: { problem: Problem; onAgain?: () => void }) {
   return (
     <div class="problem" role="alert">
-      <h3>{problem.title}</h3>
+      <h3>{titleOf(problem)}</h3>
       <p>{problem.detail}</p>
       {problem.errors?.map(({ pointer, detail }) => (
         <p key={pointer}>
@@ -17,6 +17,7 @@ export function ProblemNote({ problem, onAgain }: { problem: Problem; onAgain?: 
         <b>{t.problem.todo}:</b> {t.problem.advice[problem.code] ?? t.problem.otherwise}
       </p>
       <p class="small">
+        {problem.status > 0 && `${problem.status} ${problem.title} · `}
         {t.problem.code} <code>{problem.code}</code>
         {problem.request_id && (
           <>
@@ -32,6 +33,13 @@ export function ProblemNote({ problem, onAgain }: { problem: Problem; onAgain?: 
       )}
     </div>
   );
+}
+
+/** The service's own titles are those of HTTP: its codes say more. */
+function titleOf({ code, title }: Problem): string {
+  if (/^http_\d+$/.test(code)) return title;
+  const words = code.replace(/_/g, " ");
+  return words.charAt(0).toUpperCase() + words.slice(1);
 }
 
 /** A job's or item's failure, in the same form. */

@@ -133,7 +133,6 @@ export class Controls {
   }
 
   private down(event: PointerEvent): void {
-    this.element.focus({ preventScroll: true });
     this.element.setPointerCapture(event.pointerId);
     this.pointers.set(event.pointerId, { x: event.clientX, y: event.clientY });
     if (this.pointers.size === 1) this.travelled = 0;

@@ -1,7 +1,7 @@
 // A real service of its own, on a free port, with its data in a folder that goes away.
 
 import { spawn } from "node:child_process";
-import { mkdtempSync, readFileSync, rmSync } from "node:fs";
+import { cpSync, mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { join } from "node:path";
 import { createInterface } from "node:readline";
@@ -12,9 +12,13 @@ const root = fileURLToPath(new URL("../../../", import.meta.url));
 const program = process.env.UNIGROUND ?? join(root, "target/release/uniground");
 export const SAMPLE = join(root, "examples/living_room.zip");
 
+/** A data folder that has the sample scan parsed: made once by `prepare.js`, copied by whoever asks for it. */
+const prepared = process.env.UNIGROUND_SAMPLE_DATA;
+
 /** Starts `uniground serve`; `page` is where the page is, the service's own or one before it. */
-export async function startService(further = [], environment = {}) {
+export async function startService({ further = [], environment = {}, empty = false } = {}) {
   const data = mkdtempSync(join(tmpdir(), "uniground-page-"));
+  if (prepared && !empty) cpSync(prepared, data, { recursive: true });
   const parameters = ["serve", "--listen", "127.0.0.1:0", "--data-dir", data, "--masks", "builtin", "--encoder", "builtin", ...further];
   const child = spawn(program, parameters, { stdio: ["ignore", "pipe", "inherit"], env: { ...process.env, RUST_LOG: "warn", ...environment } });
   const api = await listening(child);
@@ -23,11 +27,12 @@ export async function startService(further = [], environment = {}) {
   return {
     api,
     page: before?.address ?? api,
-    async stop() {
+    data,
+    async stop(keep = false) {
       before?.close();
       child.kill("SIGTERM");
       await new Promise((resolve) => child.once("exit", resolve));
-      rmSync(data, { recursive: true, force: true });
+      if (!keep) rmSync(data, { recursive: true, force: true });
     },
   };
 }
@@ -43,8 +48,10 @@ function listening(child) {
   });
 }
 
-/** The sample scan, uploaded and parsed without the page. */
+/** The sample scan, uploaded and parsed without the page, unless it is there already. */
 export async function parsedSample(api, headers = {}) {
+  const there = await fetch(`${api}/v1/scenes`, { headers }).then((reply) => reply.json());
+  if (there.scenes[0]?.status === "ready") return there.scenes[0];
   const created = await fetch(`${api}/v1/scenes?name=living%20room`, {
     method: "POST",
     headers: { "content-type": "application/zip", ...headers },
