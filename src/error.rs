@@ -185,7 +185,7 @@ impl Error {
             return "storage_busy";
         }
         match self {
-            Self::Ingest(error) => match error {
+            Self::Ingest(error) => match error.cause() {
                 IngestError::ArchiveUnreadable { .. } => "archive_unreadable",
                 IngestError::UnsafeEntry { .. } => "archive_entry_unsafe",
                 IngestError::ArchiveTooLarge { .. } => "archive_too_large",
@@ -200,7 +200,11 @@ impl Error {
                 IngestError::EmptyScene => "scene_empty",
                 IngestError::NoUsableFrames { .. } => "no_usable_frames",
                 IngestError::Frame(_) => "frame_unreadable",
-                IngestError::ConventionMismatch { .. } => "convention_mismatch",
+                IngestError::NothingFits { .. } => "convention_mismatch",
+                IngestError::IncompleteLayout { .. } => "layout_incomplete",
+                IngestError::UpUnknown { .. } => "up_unknown",
+                // Never its own cause: it has the code of the first frame's damage.
+                IngestError::TooManyDamaged { .. } => "scene_file_malformed",
                 IngestError::Io { .. } => "storage_failed",
                 IngestError::Cancelled(_) => "cancelled",
             },

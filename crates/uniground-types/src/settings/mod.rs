@@ -10,7 +10,7 @@ mod neural;
 mod parsing;
 mod superpoints;
 
-pub use import::{FusionSettings, ImportSettings};
+pub use import::{FusionSettings, ImportSettings, LevellingChoice};
 pub use instances::{FrameSamplingSettings, InstanceSettings, ViewSettings};
 pub use masks::{MaskOrder, RgbdSettings, SamPrompts, SamSettings};
 pub use merging::{MergeSettings, Normalisation, PartMergingSettings};
