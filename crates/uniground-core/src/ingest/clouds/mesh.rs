@@ -70,7 +70,8 @@ impl Mesh {
         let total = self.triangles.iter().map(Triangle::area).sum::<f64>();
         let most = total * (metres_per_unit / SPACING_M).powi(2);
         let per_area = most.min(MAX_POINTS) / total.max(f64::MIN_POSITIVE);
-        if !self.triangles.is_empty() && !(total.is_finite() && total > 0.0) {
+        let has_area = total.is_finite() && total > 0.0;
+        if !self.triangles.is_empty() && !has_area {
             return Err(IngestError::malformed(file, "the faces of the mesh have no area"));
         }
         let (mut owed, mut drawn) = (0.5, 0_u32);

@@ -1,4 +1,4 @@
-//! PCD 0.7 (Point Cloud Library): ascii, binary and binary_compressed, with the fields in any order and of any type.
+//! PCD 0.7 (Point Cloud Library): ascii, binary and `binary_compressed`, with the fields in any order and of any type.
 //!
 //! Colour is `rgb` or `rgba`, packed into the four bytes of a float or an integer. The viewpoint is where the sensor stood; it moves nothing.
 

@@ -43,7 +43,7 @@ pub fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<
         }
         gathered.coloured(["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)));
         let in_doubles = |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
-        if !["x", "y", "z"].iter().any(|axis| in_doubles(&axis)) {
+        if !["x", "y", "z"].iter().any(|axis| in_doubles(axis)) {
             gathered.single_precision();
         }
         gathered.expect(file, element.count)?;

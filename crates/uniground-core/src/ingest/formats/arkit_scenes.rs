@@ -94,7 +94,7 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     if left_out > 0 {
         scan.warnings.push(format!("{left_out} of {} pictures left out: no depth, camera or pose at their time", colour.len()));
     }
-    scan.cloud = folder.clouds(&["_3dod_mesh.ply"]).into_iter().find(|file| file.as_str().ends_with(".ply"));
+    scan.cloud = folder.clouds(&["_3dod_mesh.ply"]).into_iter().find(|file| file.extension() == Some("ply"));
     Ok(scan)
 }
 

@@ -44,7 +44,7 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let cameras = Cameras { colour: camera(&folder.root, first)?, depth: None };
     let poses = Poses::List(trajectory::read(&folder.root, &file)?, file);
     add_frames(&mut scan, &pictures, &poses, &cameras, Unmatched::LeftOut)?;
-    scan.cloud = folder.clouds(&["_cloud.ply", "cloud.ply", "_mesh.ply"]).into_iter().find(|file| file.as_str().ends_with(".ply"));
+    scan.cloud = folder.clouds(&["_cloud.ply", "cloud.ply", "_mesh.ply"]).into_iter().find(|file| file.extension() == Some("ply"));
     Ok(scan)
 }
 

@@ -6,6 +6,7 @@
 use super::gravity::{Fit, measure, refine};
 use super::surfaces::Surface;
 use crate::geometry::statistics::quantile;
+use crate::geometry::up_axis::UpAxis;
 use crate::geometry::voxels::VoxelKey;
 use crate::geometry::{Point3, Vector3};
 use crate::scene::PointCloud;
@@ -18,9 +19,32 @@ pub(super) struct Candidate {
     pub fit: Fit,
     /// Sum of what speaks for it; only differences mean anything.
     pub score: f32,
-    /// Parts of the score, for those who ask why: floor, extent, turned things, things that stand, habit.
-    #[allow(dead_code)] // Shown when tests fail.
-    pub parts: [f32; 5],
+    /// From the lowest to the highest point, metres.
+    pub height_m: f32,
+    /// The narrowest side of the footprint, metres.
+    pub width_m: f32,
+}
+
+/// Rooms are at least this wide and high, and no higher than that, metres. What is smaller is a view of something: a wall with a picture
+/// makes as good a floor as any.
+const ROOM_WIDTH_M: f32 = 2.2;
+const ROOM_HEIGHT_M: std::ops::Range<f32> = 1.5..8.0;
+/// By how much the best direction must be ahead.
+const AHEAD: f32 = 0.25;
+/// The same of a cloud that is no room: then only Z is believed, which most files have up.
+const FAR_AHEAD: f32 = 0.6;
+
+/// The direction that is up, if it is clear; else the names of those it may be.
+pub(super) fn choose(candidates: &[Candidate]) -> Result<&Candidate, String> {
+    let Some(best) = candidates.first() else { return Err("the cloud has no flat surfaces to tell it by".into()) };
+    let lead = best.score - candidates.get(1).map_or(0.0, |next| next.score);
+    let is_room = best.width_m >= ROOM_WIDTH_M && ROOM_HEIGHT_M.contains(&best.height_m);
+    if best.score >= AHEAD && ((is_room && lead >= AHEAD) || (is_usual(&best.fit.up) && lead >= FAR_AHEAD)) {
+        return Ok(best);
+    }
+    let names: Vec<&str> = candidates.iter().take(2).map(|c| UpAxis::nearest(&c.fit.up).name()).collect();
+    let why = if is_room { "by its surfaces it" } else { "it is no whole room, and by its surfaces it" };
+    Err(format!("{why} may be {}", names.join(" or ")))
 }
 
 /// Most directions that are looked at.
@@ -51,17 +75,18 @@ pub(super) fn candidates(cloud: &PointCloud, surfaces: &[Surface]) -> Vec<Candid
         let turned = shape.turned_about(axis, &across);
         for up in [*axis, -*axis] {
             let fit = measure(surfaces, &up);
-            let parts = [shape.floor(&up), 0.8 * low, 2.0 * turned, shape.standing(&up), habit(&up)];
-            all.push(Candidate { fit, score: parts.iter().sum(), parts });
+            let habit = if is_usual(&up) { 0.2 } else { 0.0 };
+            let score = shape.floor(&up) + 0.8 * low + 2.0 * turned + shape.standing(&up) + habit;
+            all.push(Candidate { fit, score, height_m: extents[i], width_m: shape.width(&up) });
         }
     }
     all.sort_by(|a, b| b.score.total_cmp(&a.score));
     all
 }
 
-/// Most files have Z up, some Y: a little, where nothing else tells.
-fn habit(up: &Vector3<f32>) -> f32 {
-    if up.z > 0.985 { 0.2 } else { 0.0 }
+/// Most files have Z up: it says a little, where nothing else tells.
+fn is_usual(up: &Vector3<f32>) -> bool {
+    up.z > 0.985
 }
 
 /// Unsigned directions that many surfaces face, each refined to what is level and upright with it.
@@ -102,6 +127,16 @@ impl Shape<'_> {
     fn extent(&self, axis: &Vector3<f32>) -> f32 {
         let mut heights = self.heights(axis);
         quantile(&mut heights, 0.995).unwrap_or(0.0) - quantile(&mut heights, 0.005).unwrap_or(0.0)
+    }
+
+    /// The narrowest of a few directions across, metres.
+    fn width(&self, up: &Vector3<f32>) -> f32 {
+        let (a, b) = across(up);
+        let sides = (0..8).map(|k| {
+            let (sin, cos) = (k as f32 * std::f32::consts::PI / 8.0).sin_cos();
+            self.extent(&(a * cos + b * sin))
+        });
+        sides.fold(f32::INFINITY, f32::min)
     }
 
     /// How much of the footprint lies on a level sheet at the lower end, less the same of the upper end when there is no floor; `-1..=1`.
@@ -159,4 +194,62 @@ fn across(up: &Vector3<f32>) -> (Vector3<f32>, Vector3<f32>) {
     let least = if up.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     let a = up.cross(&least).normalize();
     (a, up.cross(&a))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::surfaces;
+    use super::*;
+    use crate::geometry::Isometry3;
+    use proptest::prelude::*;
+
+    /// Sides of a block, a point every four centimetres; the top and the bottom only where they are wanted.
+    fn block(cloud: &mut PointCloud, low: [f32; 3], high: [f32; 3], ends: [bool; 2]) {
+        let steps = |axis: usize| ((high[axis] - low[axis]) / 0.04).round().max(1.0) as u32;
+        for x in 0..=steps(0) {
+            for y in 0..=steps(1) {
+                for z in 0..=steps(2) {
+                    let side = x == 0 || x == steps(0) || y == 0 || y == steps(1);
+                    if side || (z == 0 && ends[0]) || (z == steps(2) && ends[1]) {
+                        let at = |axis: usize, k: u32| low[axis] + (high[axis] - low[axis]) * k as f32 / steps(axis) as f32;
+                        cloud.positions.push(Point3::new(at(0, x), at(1, y), at(2, z)));
+                        cloud.colours.push([128; 3]);
+                    }
+                }
+            }
+        }
+    }
+
+    fn room() -> PointCloud {
+        let mut cloud = PointCloud::default();
+        block(&mut cloud, [0.0, 0.0, 0.0], [5.0, 3.6, 2.5], [true, false]);
+        block(&mut cloud, [1.0, 1.0, 0.0], [2.6, 1.8, 0.72], [false, true]);
+        block(&mut cloud, [3.4, 0.6, 0.0], [4.2, 2.6, 0.5], [false, true]);
+        block(&mut cloud, [0.3, 2.9, 0.0], [0.9, 3.5, 1.1], [false, true]);
+        cloud
+    }
+
+    proptest! {
+        #![proptest_config(ProptestConfig::with_cases(12))]
+        #[test]
+        fn a_room_is_set_upright_however_it_lies(angles in prop::array::uniform3(-3.0_f32..3.0)) {
+            let turn = Isometry3::rotation(Vector3::from(angles));
+            let mut cloud = room();
+            cloud.positions.iter_mut().for_each(|p| *p = turn * *p);
+            let candidates = candidates(&cloud, &surfaces::of_cloud(&cloud));
+            let chosen = choose(&candidates);
+            prop_assert!(chosen.is_ok(), "{chosen:?}");
+            let up = chosen.unwrap().fit.up;
+            prop_assert!(up.dot(&(turn * Vector3::z())) > 0.998, "{up}");
+        }
+    }
+
+    #[test]
+    fn a_wall_alone_is_not_taken_for_a_floor() {
+        let mut cloud = PointCloud::default();
+        block(&mut cloud, [0.0, 0.0, 0.0], [2.4, 0.02, 2.0], [false, false]);
+        block(&mut cloud, [0.5, 0.0, 0.5], [0.8, 0.3, 0.7], [true, true]);
+        let candidates = candidates(&cloud, &surfaces::of_cloud(&cloud));
+        assert!(choose(&candidates).is_err(), "{candidates:?}");
+    }
 }

@@ -47,8 +47,6 @@ const CLEARNESS: f32 = 0.06;
 const LEVEL_SHARE: f32 = 0.03;
 /// Surfaces and cameras that differ by more than this do not speak of the same up, degrees.
 const AGREEING_DEG: f32 = 25.0;
-/// By how much the best direction of a lone cloud must be ahead.
-const AHEAD: f32 = 0.25;
 
 /// Up of posed frames, whose poses are in the world of the files.
 pub(super) fn of_frames(
@@ -111,14 +109,7 @@ pub(super) fn of_cloud(cloud: &PointCloud, said: Said, warnings: &mut Vec<String
         return Ok(levelled(axis, &fit.up, LEVEL_DEG, fit.explained(), describe(&fit), warnings));
     }
     let candidates = lone_cloud::candidates(cloud, &surfaces);
-    let Some(best) = candidates.first() else {
-        return Err(IngestError::UpUnknown { reason: "the cloud has no flat surfaces to tell it by".into() });
-    };
-    let next = candidates.get(1).map_or(0.0, |c| c.score);
-    if best.score - next < AHEAD || best.score < AHEAD {
-        let names: Vec<&str> = candidates.iter().take(2).map(|c| UpAxis::nearest(&c.fit.up).name()).collect();
-        return Err(IngestError::UpUnknown { reason: format!("by its surfaces it may be {}", names.join(" or ")) });
-    }
+    let best = lone_cloud::choose(&candidates).map_err(|reason| IngestError::UpUnknown { reason })?;
     let axis = UpAxis::nearest(&best.fit.up);
     warnings.push(format!(
         "nothing says which axis is up and there are no cameras to tell: by its floor, its height and what stands on it taken as {}",

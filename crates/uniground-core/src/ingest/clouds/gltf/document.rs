@@ -127,13 +127,11 @@ struct Buffer {
 impl Document {
     /// Nodes that stand in no other: those of the shown scene, or all there are.
     pub fn roots(&self) -> Vec<usize> {
-        match self.scenes.get(self.scene.unwrap_or(0)) {
-            Some(scene) => scene.nodes.clone(),
-            None => {
-                let inner: std::collections::BTreeSet<usize> = self.nodes.iter().flat_map(|n| n.children.iter().copied()).collect();
-                (0..self.nodes.len()).filter(|n| !inner.contains(n)).collect()
-            }
+        if let Some(scene) = self.scenes.get(self.scene.unwrap_or(0)) {
+            return scene.nodes.clone();
         }
+        let inner: std::collections::BTreeSet<usize> = self.nodes.iter().flat_map(|n| n.children.iter().copied()).collect();
+        (0..self.nodes.len()).filter(|n| !inner.contains(n)).collect()
     }
 }
 
