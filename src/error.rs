@@ -190,7 +190,8 @@ impl Error {
                 IngestError::UnsafeEntry { .. } => "archive_entry_unsafe",
                 IngestError::ArchiveTooLarge { .. } => "archive_too_large",
                 IngestError::UnknownLayout { .. } => "unknown_layout",
-                IngestError::Malformed { .. } => "scene_file_malformed",
+                // Of many damaged frames the first one's cause stands for all, so the second is never met here.
+                IngestError::Malformed { .. } | IngestError::TooManyDamaged { .. } => "scene_file_malformed",
                 IngestError::MissingFile { .. } => "scene_file_missing",
                 IngestError::MissingIntrinsics { .. } => "intrinsics_missing",
                 IngestError::BadIntrinsics { .. } => "intrinsics_invalid",
@@ -203,8 +204,6 @@ impl Error {
                 IngestError::NothingFits { .. } => "convention_mismatch",
                 IngestError::IncompleteLayout { .. } => "layout_incomplete",
                 IngestError::UpUnknown { .. } => "up_unknown",
-                // Never its own cause: it has the code of the first frame's damage.
-                IngestError::TooManyDamaged { .. } => "scene_file_malformed",
                 IngestError::Io { .. } => "storage_failed",
                 IngestError::Cancelled(_) => "cancelled",
             },

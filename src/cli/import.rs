@@ -63,12 +63,11 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     let begun = Instant::now();
     let folder = Unpacked::of(&args.scan)?;
     let scan = ingest::open(&folder.path)?;
-    let Inspected { frames, cloud, report } = match args.check {
-        true => ingest::inspect(&scan, &settings, &Progress::silent())?,
-        false => {
-            let bundle = ingest::load(&scan, &settings, &Progress::silent())?;
-            Inspected { frames: bundle.frames, cloud: Some(bundle.cloud), report: bundle.report }
-        }
+    let Inspected { frames, cloud, report } = if args.check {
+        ingest::inspect(&scan, &settings, &Progress::silent())?
+    } else {
+        let bundle = ingest::load(&scan, &settings, &Progress::silent())?;
+        Inspected { frames: bundle.frames, cloud: Some(bundle.cloud), report: bundle.report }
     };
     let imported = Imported { report, frames, cloud, seconds: begun.elapsed().as_secs_f32() };
     if let Some(out) = &args.report {
@@ -91,7 +90,9 @@ fn summary(Imported { report, cloud, seconds, .. }: &Imported) -> Vec<(&'static 
     let skipped = if report.frames_skipped > 0 { format!(", {} skipped", report.frames_skipped) } else { String::new() };
     lines.push(("frames", format!("{}{skipped}", report.frames)));
     if report.frames > 0 {
-        let agreement = report.reprojection_agreement.map_or("not to be told".into(), |a| format!("{:.0}% of the points in view", a * 100.0));
+        let agreement = report
+            .reprojection_agreement
+            .map_or("not to be told".into(), |a| format!("{:.0}% of the points in view", a * 100.0));
         lines.push(("depth fits", format!("{agreement} (poses {:?}, cameras {})", report.pose, report.camera_axes)));
     }
     let level = match &report.levelling {
@@ -103,7 +104,10 @@ fn summary(Imported { report, cloud, seconds, .. }: &Imported) -> Vec<(&'static 
     if let Some(extent) = cloud.as_ref().and_then(|cloud| Aabb::around(&cloud.positions)) {
         let whose = if report.cloud_points.is_some() { "its own" } else { "fused" };
         let points = cloud.as_ref().map_or(0, PointCloud::len);
-        lines.push(("cloud", format!("{points} points ({whose}), {:.2} x {:.2} x {:.2} m", extent.size.x, extent.size.y, extent.size.z)));
+        lines.push((
+            "cloud",
+            format!("{points} points ({whose}), {:.2} x {:.2} x {:.2} m", extent.size.x, extent.size.y, extent.size.z),
+        ));
     }
     if let Some(way) = report.source_to_scene.filter(|way| way.metres_per_unit != 1.0) {
         lines.push(("units", format!("{} m", way.metres_per_unit)));
@@ -115,7 +119,11 @@ fn summary(Imported { report, cloud, seconds, .. }: &Imported) -> Vec<(&'static 
 /// Views of the cloud: into the room, from the side (upright things stand up) and from above.
 const VIEWS: [(&str, &str, Orbit); 3] = [
     ("room", "Into the room", ROOM_VIEW),
-    ("side", "From the side, level: floors are lines", Orbit { width: 1024, height: 600, azimuth_deg: -90.0, tilt_deg: 89.0 }),
+    (
+        "side",
+        "From the side, level: floors are lines",
+        Orbit { width: 1024, height: 600, azimuth_deg: -90.0, tilt_deg: 89.0 },
+    ),
     ("top", "From above", Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 0.5 }),
 ];
 

@@ -45,7 +45,12 @@ pub(super) fn contact_sheet(frames: &[FrameRef]) -> Option<RgbImage> {
         let frame = &frames[frames.len() * (2 * k + 1) / (2 * shown)];
         let Ok(picture) = frame.decode_colour() else { continue };
         let (column, row) = (k as u32 % COLUMNS, k as u32 / COLUMNS);
-        replace(&mut sheet, &resize(&picture, WIDTH, height, FilterType::Triangle), i64::from(column * WIDTH), i64::from(row * height));
+        replace(
+            &mut sheet,
+            &resize(&picture, WIDTH, height, FilterType::Triangle),
+            i64::from(column * WIDTH),
+            i64::from(row * height),
+        );
     }
     Some(sheet)
 }

@@ -33,7 +33,9 @@ mod tests {
     #[test]
     fn a_room_is_a_room_in_any_unit() {
         for (scale, expected) in [(1.0, 1.0), (100.0, 0.01), (1000.0, 0.001), (0.3, 1.0)] {
-            let room: Vec<_> = (0..1000).map(|i| Point3::new((i % 10) as f32 * 0.6, (i / 10 % 10) as f32 * 0.5, (i / 100) as f32 * 0.27) * scale).collect();
+            let room: Vec<_> = (0..1000)
+                .map(|i| Point3::new((i % 10) as f32 * 0.6, (i / 10 % 10) as f32 * 0.5, (i / 100) as f32 * 0.27) * scale)
+                .collect();
             let mut warnings = Vec::new();
             assert_eq!(guess(&room, &mut warnings), expected);
             assert_eq!(warnings.is_empty(), expected == 1.0);

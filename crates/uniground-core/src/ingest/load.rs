@@ -29,15 +29,14 @@ pub struct Inspected {
 /// Those of [`inspect`]; frames that hold no depth, or too many that can not be decoded.
 pub fn load(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> Result<SceneBundle, IngestError> {
     let Inspected { mut frames, cloud, mut report } = inspect(scan, settings, &progress.part(0.0, 0.2))?;
-    let cloud = match cloud {
-        Some(cloud) => cloud,
-        None => {
-            let cloud = fusion::fuse(&mut frames, &settings.fusion, &mut report.warnings, &progress.part(0.2, 1.0))?;
-            let undecodable = report.frames - frames.len() as u32;
-            report.frames -= undecodable;
-            report.frames_skipped += undecodable;
-            cloud
-        }
+    let cloud = if let Some(cloud) = cloud {
+        cloud
+    } else {
+        let cloud = fusion::fuse(&mut frames, &settings.fusion, &mut report.warnings, &progress.part(0.2, 1.0))?;
+        let undecodable = report.frames - frames.len() as u32;
+        report.frames -= undecodable;
+        report.frames_skipped += undecodable;
+        cloud
     };
     warn_of_odd_size(&cloud.positions, &mut report.warnings);
     Ok(SceneBundle { cloud, frames, report })
@@ -64,14 +63,18 @@ pub fn inspect(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> R
     }
     progress.report("check_reprojection", 0.5)?;
     let frames = frame_refs(scan, &declared)?;
-    let Checked { reading, agreement } = reprojection::check(scan, declared, own_cloud.as_ref().map(|own| &own.cloud), &frames, &mut warnings)?;
+    let Checked { reading, agreement } =
+        reprojection::check(scan, declared, own_cloud.as_ref().map(|own| &own.cloud), &frames, &mut warnings)?;
     let mut frames = if reading == declared { frames } else { frame_refs(scan, &reading)? };
     if let Some(own) = &mut own_cloud {
         rescale(&mut own.cloud, reading.metres_per_unit / declared.metres_per_unit);
     }
 
     let said = Said {
-        up: settings.up.or(scan.up).or(own_cloud.as_ref().filter(|_| frames.is_empty()).and_then(|own| own.kind.up())),
+        up: settings
+            .up
+            .or(scan.up)
+            .or(own_cloud.as_ref().filter(|_| frames.is_empty()).and_then(|own| own.kind.up())),
         // Who asks for another axis knows better than the sensor.
         by_gravity: scan.by_gravity && settings.up.is_none(),
         choice: settings.levelling,

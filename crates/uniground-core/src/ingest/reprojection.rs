@@ -113,7 +113,8 @@ pub(super) fn check(
         None => warnings
             .push("hardly any sampled point projects onto measured depth: the frames may not overlap, or not belong together".into()),
         Some(agreement) if agreement < NOTHING_FITS => {
-            let (other_agreement, hypothesis) = best.map_or((0.0, "none".into()), |(other, reading)| (other * 100.0, reading.describe(&declared)));
+            let (other_agreement, hypothesis) =
+                best.map_or((0.0, "none".into()), |(other, reading)| (other * 100.0, reading.describe(&declared)));
             return Err(IngestError::NothingFits { agreement: agreement * 100.0, hypothesis, other_agreement });
         }
         Some(agreement) if agreement < SUSPICIOUS => {
@@ -128,7 +129,9 @@ impl Reading {
     fn all(metres_per_unit: f64) -> impl Iterator<Item = Self> {
         [PoseConvention::CameraToWorld, PoseConvention::WorldToCamera].into_iter().flat_map(move |pose| {
             [CameraAxes::Opencv, CameraAxes::Opengl].into_iter().flat_map(move |axes| {
-                DEPTH_SCALES_M.into_iter().map(move |depth_scale_m| Self { pose, axes, depth_scale_m, metres_per_unit })
+                DEPTH_SCALES_M
+                    .into_iter()
+                    .map(move |depth_scale_m| Self { pose, axes, depth_scale_m, metres_per_unit })
             })
         })
     }

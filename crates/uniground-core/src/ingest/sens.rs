@@ -35,8 +35,12 @@ pub(super) fn lone(folder: &Utf8Path) -> Result<Option<Utf8PathBuf>, IngestError
     let io = |source| IngestError::reading(folder, source);
     let mut folder = folder.to_owned();
     for _ in 0..4 {
-        let entries: Vec<Utf8PathBuf> =
-            folder.read_dir_utf8().map_err(io)?.filter_map(Result::ok).map(|entry| entry.path().to_owned()).collect();
+        let entries: Vec<Utf8PathBuf> = folder
+            .read_dir_utf8()
+            .map_err(io)?
+            .filter_map(Result::ok)
+            .map(|entry| entry.path().to_owned())
+            .collect();
         if entries.iter().any(|path| path.file_name() == Some("scene.json")) {
             return Ok(None);
         }

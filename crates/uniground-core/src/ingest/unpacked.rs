@@ -41,7 +41,9 @@ impl Unpacked {
             // What a mesh names lies beside it.
             match (kind, scan.parent()) {
                 (CloudKind::Obj | CloudKind::Gltf, Some(folder)) => copy_beside(scan, folder, &path).map_err(reading)?,
-                _ => fs::copy(scan, path.join("cloud").with_extension(scan.extension().unwrap_or("ply"))).map(drop).map_err(reading)?,
+                _ => fs::copy(scan, path.join("cloud").with_extension(scan.extension().unwrap_or("ply")))
+                    .map(drop)
+                    .map_err(reading)?,
             }
         } else {
             return Err(IngestError::malformed(scan, what_it_is(scan)));

@@ -5,8 +5,8 @@ mod whole;
 use super::scan::{Scan, Units, picture_size};
 use super::{IngestError, UPLOADED, clouds};
 use crate::geometry::MAX_COORDINATE_M;
-use crate::scene::{DepthSensor, FrameIndex, Intrinsics, PoseConvention};
 use crate::ingest::scan::RawFrame;
+use crate::scene::{DepthSensor, FrameIndex, Intrinsics, PoseConvention};
 use camino::Utf8Path;
 use rayon::prelude::*;
 
@@ -43,8 +43,10 @@ pub(super) fn check(scan: &mut Scan) -> Result<(), IngestError> {
     }
     let units = Units { origin: scan.origin, metres_per_unit: 1.0 };
     let root = &scan.root;
-    let checked: Vec<Result<RawFrame, IngestError>> =
-        std::mem::take(&mut scan.frames).into_par_iter().map(|frame| checked(root, frame, scan.pose, &units)).collect();
+    let checked: Vec<Result<RawFrame, IngestError>> = std::mem::take(&mut scan.frames)
+        .into_par_iter()
+        .map(|frame| checked(root, frame, scan.pose, &units))
+        .collect();
     for frame in checked {
         scan.add(frame)?;
     }
@@ -82,7 +84,8 @@ fn leave_out_damaged(scan: &mut Scan) -> Result<(), IngestError> {
     }
     let named: Vec<String> = scan.damage.first.iter().map(ToString::to_string).collect();
     let more = if damaged > named.len() { format!(" and {} more", damaged - named.len()) } else { String::new() };
-    scan.warnings.push(format!("{damaged} of {total} frames skipped, damaged or incomplete: {}{more}", named.join("; ")));
+    scan.warnings
+        .push(format!("{damaged} of {total} frames skipped, damaged or incomplete: {}{more}", named.join("; ")));
     Ok(())
 }
 
@@ -92,7 +95,10 @@ fn checked(root: &Utf8Path, mut frame: RawFrame, pose: PoseConvention, units: &U
     if frame.pose.row(3).iter().zip([0.0, 0.0, 0.0, 1.0]).any(|(v, expected)| (v - expected).abs() > 1e-3) {
         return Err(IngestError::malformed(frame.pose_file.clone(), "the last row of a pose must be 0 0 0 1"));
     }
-    let lens_is_odd = [frame.optics.colour_lens, frame.optics.depth_lens].iter().flatten().any(|lens| !lens.is_plausible());
+    let lens_is_odd = [frame.optics.colour_lens, frame.optics.depth_lens]
+        .iter()
+        .flatten()
+        .any(|lens| !lens.is_plausible());
     if lens_is_odd {
         return Err(IngestError::BadIntrinsics { file: frame.colour, reason: "the distortion of its lens is no number".into() });
     }

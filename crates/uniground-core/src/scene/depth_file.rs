@@ -9,6 +9,9 @@ use std::io::{self, BufReader, Read};
 /// What a block of LZFSE begins with.
 const LZFSE_MAGIC: &[u8; 3] = b"bvx";
 
+/// Sensors write this where they measured nothing, or too far (7-Scenes, 3RScan).
+const SATURATED: u16 = u16::MAX;
+
 /// Whether a file is LZFSE: its size in pixels stands elsewhere.
 ///
 /// # Errors
@@ -37,7 +40,11 @@ pub(super) fn read(frame: &FrameRef, (width, height): (u32, u32)) -> Result<Dept
         }
     };
     let (width, height) = image.dimensions();
-    let depth_m = image.into_raw().into_iter().map(|unit| f32::from(unit) * frame.depth_scale_m).collect();
+    let depth_m = image
+        .into_raw()
+        .into_iter()
+        .map(|unit| if unit == SATURATED { 0.0 } else { f32::from(unit) * frame.depth_scale_m })
+        .collect();
     Ok(DepthImage { width, height, depth_m })
 }
 
@@ -56,5 +63,8 @@ pub(super) fn read_compressed(file: &Utf8Path, expected: u64) -> io::Result<Vec<
         return Ok(bytes);
     }
     let (found, more) = (bytes.len(), if bytes.len() as u64 > expected { "more than " } else { "" });
-    Err(io::Error::new(io::ErrorKind::InvalidData, format!("it unpacks to {more}{found} bytes, its picture has {expected}")))
+    Err(io::Error::new(
+        io::ErrorKind::InvalidData,
+        format!("it unpacks to {more}{found} bytes, its picture has {expected}"),
+    ))
 }

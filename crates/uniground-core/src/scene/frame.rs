@@ -177,7 +177,9 @@ impl FrameRef {
         let mut limits = Limits::default();
         limits.max_alloc = Some(MAX_PICTURE_BYTES);
         reader.limits(limits);
-        reader.decode().map_err(|source| FrameError::Undecodable { frame: self.index, file: in_scene(file), source })
+        reader
+            .decode()
+            .map_err(|source| FrameError::Undecodable { frame: self.index, file: in_scene(file), source })
     }
 
     fn expect_size(&self, file: &Utf8Path, (found_width, found_height): (u32, u32), expected: &Intrinsics) -> Result<(), FrameError> {

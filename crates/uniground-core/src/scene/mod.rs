@@ -28,5 +28,6 @@ pub use instance::Instance;
 pub use optics::{Confidence, DepthSensor, Lens, Optics};
 pub use parsed::ParsedScene;
 pub use uniground_types::scene::{
-    FrameIndex, ImportReport, InstanceId, Level, Levelling, NameGuess, ParseReport, PoseConvention, SourceToScene, StageReport, Structure, Support, View, ViewMask,
+    FrameIndex, ImportReport, InstanceId, Level, Levelling, NameGuess, ParseReport, PoseConvention, SourceToScene, StageReport, Structure,
+    Support, View, ViewMask,
 };

@@ -74,7 +74,10 @@ impl Lens {
         let Self { k1, k2, p1, p2, k3, k4, k5, k6 } = *self;
         let r2 = x * x + y * y;
         let radial = (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) / (1.0 + r2 * (k4 + r2 * (k5 + r2 * k6)));
-        (x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x), y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y)
+        (
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        )
     }
 
     /// Pixel of the distorted picture that shows what the pinhole picture shows at `(u, v)`.

@@ -11,22 +11,35 @@ type Points = Vec<(Point3<f64>, [u8; 3])>;
 
 fn xyz(points: &Points) -> Vec<u8> {
     let mut text = String::new();
-    points.iter().for_each(|(p, [r, g, b])| writeln!(text, "{:.4} {:.4} {:.4} {r} {g} {b}", p.x, p.y, p.z).unwrap());
+    points
+        .iter()
+        .for_each(|(p, [r, g, b])| writeln!(text, "{:.4} {:.4} {:.4} {r} {g} {b}", p.x, p.y, p.z).unwrap());
     text.into_bytes()
 }
 
 fn obj(points: &Points) -> Vec<u8> {
     let mut text = String::from("# vertices\n");
-    points
-        .iter()
-        .for_each(|(p, c)| writeln!(text, "v {:.4} {:.4} {:.4} {:.3} {:.3} {:.3}", p.x, p.y, p.z, f64::from(c[0]) / 255.0, f64::from(c[1]) / 255.0, f64::from(c[2]) / 255.0).unwrap());
+    points.iter().for_each(|(p, c)| {
+        writeln!(
+            text,
+            "v {:.4} {:.4} {:.4} {:.3} {:.3} {:.3}",
+            p.x,
+            p.y,
+            p.z,
+            f64::from(c[0]) / 255.0,
+            f64::from(c[1]) / 255.0,
+            f64::from(c[2]) / 255.0
+        )
+        .unwrap()
+    });
     text.into_bytes()
 }
 
 fn pcd(points: &Points) -> Vec<u8> {
     let n = points.len();
     let mut bytes =
-        format!("VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA binary\n").into_bytes();
+        format!("VERSION 0.7\nFIELDS x y z rgb\nSIZE 4 4 4 4\nTYPE F F F U\nCOUNT 1 1 1 1\nWIDTH {n}\nHEIGHT 1\nPOINTS {n}\nDATA binary\n")
+            .into_bytes();
     for (p, [r, g, b]) in points {
         [p.x, p.y, p.z].iter().for_each(|v| bytes.extend((*v as f32).to_le_bytes()));
         bytes.extend([*b, *g, *r, 0]);
@@ -57,7 +70,9 @@ fn las(points: &Points, compressed: bool) -> Vec<u8> {
     let mut writer = las::Writer::new(std::io::Cursor::new(Vec::new()), builder.into_header().unwrap()).unwrap();
     for (p, c) in points {
         let [red, green, blue] = c.map(|c| u16::from(c) * 257);
-        writer.write_point(las::Point { x: p.x, y: p.y, z: p.z, color: Some(las::Color { red, green, blue }), ..las::Point::default() }).unwrap();
+        writer
+            .write_point(las::Point { x: p.x, y: p.y, z: p.z, color: Some(las::Color { red, green, blue }), ..las::Point::default() })
+            .unwrap();
     }
     writer.into_inner().unwrap().into_inner()
 }
@@ -167,7 +182,11 @@ fn map_coordinates_lead_back_to_the_millimetre() {
 /// Half a room, a wall, a table top: nobody can tell, so it is asked for.
 #[test]
 fn a_piece_of_something_is_refused_asking_for_up() {
-    let wall: Points = cloud().into_iter().filter(|(p, _)| p.y > 2.05).map(|(p, c)| (Point3::new(p.x, p.z, -p.y), c)).collect();
+    let wall: Points = cloud()
+        .into_iter()
+        .filter(|(p, _)| p.y > 2.05)
+        .map(|(p, c)| (Point3::new(p.x, p.z, -p.y), c))
+        .collect();
     crate::imported(
         |out: &Out| out.put("wall.ply", ply(&wall)),
         |found| {
@@ -175,4 +194,14 @@ fn a_piece_of_something_is_refused_asking_for_up() {
             assert!(message.contains("up=z"), "{message}");
         },
     );
+}
+
+/// What has no walls is believed to have Z up when things stand on it that way; lying on its side it is asked for.
+#[test]
+fn a_floor_with_things_on_it_is_taken_as_most_files_are() {
+    let floor: Points = cloud().into_iter().filter(|(p, _)| p.z < 0.9 && p.x.abs() < 2.5 && p.y.abs() < 2.0).collect();
+    let found = read("floor.ply", &ply(&floor));
+    assert_eq!(found.report.up.name(), "z", "{:?}", found.report);
+    let side = moved(&floor, |p| Point3::new(p.z, p.x, p.y));
+    crate::imported(|out: &Out| out.put("floor.ply", ply(&side)), |found| assert!(found.is_err()));
 }

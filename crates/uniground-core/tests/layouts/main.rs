@@ -44,8 +44,10 @@ fn check_depth(what: &str, i: usize, frame: &FrameRef) {
     assert!(frame.decode_colour().is_ok(), "{what}, frame {i}");
 }
 
+type Write = fn(&Out);
+
 /// What it is, its writer, and the format it is to be recognised as.
-const LAYOUTS: [(&str, fn(&Out), &str); 14] = [
+const LAYOUTS: [(&str, Write, &str); 14] = [
     ("plain", writers::plain, "color-depth-pose"),
     ("plain, paired by number", writers::plain_paired, "color-depth-pose"),
     ("ScanNet export", writers::scannet, "scannet-export"),
@@ -196,14 +198,14 @@ fn a_damaged_frame_in_ten_is_left_out_and_named() {
 
 #[test]
 fn what_lacks_something_is_told_what_it_looks_like() {
-    let without = |write: fn(&Out), gone: &'static str| {
+    let without = |write: Write, gone: &'static str| {
         move |out: &Out| {
             write(out);
             let path = out.0.join(gone);
             if path.is_dir() { fs::remove_dir_all(path).unwrap() } else { fs::remove_file(path).unwrap() }
         }
     };
-    let cases: [(fn(&Out), &str, &[&str]); 9] = [
+    let cases: [(Write, &str, &[&str]); 9] = [
         (writers::tum, "groundtruth.txt", &["TUM RGB-D", "groundtruth.txt"]),
         (writers::tum, "rgb.txt", &["TUM RGB-D", "rgb.txt"]),
         (writers::arkit_scenes, "41069021_frames/lowres_wide.traj", &["ARKitScenes", "lowres_wide.traj"]),
@@ -220,7 +222,8 @@ fn what_lacks_something_is_told_what_it_looks_like() {
             assert!(words.iter().all(|word| message.contains(word)), "without {gone}: {message}");
         });
     }
-    let pictures_alone = |out: &Out| out.put("transforms.json", r#"{"fl_x": 100, "frames": [{"file_path": "a.png", "transform_matrix": []}]}"#);
+    let pictures_alone =
+        |out: &Out| out.put("transforms.json", r#"{"fl_x": 100, "frames": [{"file_path": "a.png", "transform_matrix": []}]}"#);
     imported(pictures_alone, |found| assert!(found.unwrap_err().to_string().contains("no depth_file_path")));
     let fisheye = |out: &Out| out.put("transforms.json", r#"{"camera_model": "OPENCV_FISHEYE", "fl_x": 100, "frames": []}"#);
     imported(fisheye, |found| assert!(found.unwrap_err().to_string().contains("OPENCV_FISHEYE")));

@@ -80,7 +80,10 @@ pub fn colour(camera: &Intrinsics, pose: &Isometry3<f64>) -> DynamicImage {
 
 /// Metres, row-major.
 pub fn depth_m(camera: &Intrinsics, pose: &Isometry3<f64>) -> Vec<f32> {
-    (0..camera.height).flat_map(|v| (0..camera.width).map(move |u| (u, v))).map(|(u, v)| seen(camera, pose, u, v).0).collect()
+    (0..camera.height)
+        .flat_map(|v| (0..camera.width).map(move |u| (u, v)))
+        .map(|(u, v)| seen(camera, pose, u, v).0)
+        .collect()
 }
 
 /// 16-bit grey in units of `scale_m`.

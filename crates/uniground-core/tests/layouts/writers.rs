@@ -19,7 +19,14 @@ impl Out<'_> {
         fs::write(path, bytes).unwrap();
     }
 
-    fn pictures(&self, frame: usize, (colour_name, depth_name): (&str, &str), camera: &Intrinsics, depth_camera: &Intrinsics, scale_m: f32) {
+    fn pictures(
+        &self,
+        frame: usize,
+        (colour_name, depth_name): (&str, &str),
+        camera: &Intrinsics,
+        depth_camera: &Intrinsics,
+        scale_m: f32,
+    ) {
         let kind = |name: &str| match Utf8Path::new(name).extension() {
             Some("jpg") => Jpeg,
             Some("pgm") => Pnm,
@@ -72,7 +79,8 @@ pub fn scannet(out: &Out) {
     out.put("intrinsic/intrinsic_color.txt", camera_matrix(&CAMERA));
     out.put("intrinsic/intrinsic_depth.txt", camera_matrix(&half()));
     // The world of the files is turned and moved; the alignment brings it back.
-    let alignment = Isometry3::rotation(nalgebra::Vector3::z() * 0.7).to_homogeneous() * Matrix4::new_translation(&nalgebra::Vector3::new(1.0, 2.0, 0.1));
+    let alignment = Isometry3::rotation(nalgebra::Vector3::z() * 0.7).to_homogeneous()
+        * Matrix4::new_translation(&nalgebra::Vector3::new(1.0, 2.0, 0.1));
     let text = rows(&alignment).replace('\n', " ");
     out.put("scene0000_00.txt", format!("axisAlignment = {text}\ncolorHeight = 968\n"));
     let back = alignment.try_inverse().unwrap();
@@ -96,7 +104,9 @@ pub fn tum(out: &Out) {
         let [x, y, z, qx, qy, qz, qw] = seven(&matrix(&pose(i)));
         let _ = writeln!(truth, "{:.4} {x:.7} {y:.7} {z:.7} {qx:.8} {qy:.8} {qz:.8} {qw:.8}", time + 0.003);
     }
-    [("rgb.txt", rgb), ("depth.txt", deep), ("groundtruth.txt", truth)].into_iter().for_each(|(name, text)| out.put(name, text));
+    [("rgb.txt", rgb), ("depth.txt", deep), ("groundtruth.txt", truth)]
+        .into_iter()
+        .for_each(|(name, text)| out.put(name, text));
 }
 
 pub fn seven_scenes(out: &Out) {
@@ -146,7 +156,10 @@ pub fn arkit_scenes(out: &Out) {
 
 pub fn replica(out: &Out) {
     let c = CAMERA;
-    out.put("cam_params.json", json!({"camera": {"w": 160, "h": 120, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy, "scale": 6553.5}}).to_string());
+    out.put(
+        "cam_params.json",
+        json!({"camera": {"w": 160, "h": 120, "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy, "scale": 6553.5}}).to_string(),
+    );
     let mut list = String::new();
     for i in 0..FRAMES {
         let at = |part: &str, ending: &str| format!("room0/results/{part}{i:06}.{ending}");
@@ -179,7 +192,8 @@ pub fn polycam(out: &Out) {
         out.pictures(i, (&at("corrected_images", "jpg"), &at("depth", "png")), &CAMERA, &half(), 0.001);
         out.put(&at("confidence", "png"), encoded(&image::GrayImage::from_pixel(80, 60, image::Luma([255])).into(), Png));
         let m = y_up() * matrix(&pose(i)) * opengl();
-        let mut camera = json!({"width": 160, "height": 120, "fx": CAMERA.fx, "fy": CAMERA.fy, "cx": CAMERA.cx, "cy": CAMERA.cy, "blur_score": 90.0});
+        let mut camera =
+            json!({"width": 160, "height": 120, "fx": CAMERA.fx, "fy": CAMERA.fy, "cx": CAMERA.cx, "cy": CAMERA.cy, "blur_score": 90.0});
         for (r, c) in (0..3).flat_map(|r| (0..4).map(move |c| (r, c))) {
             camera[format!("t_{r}{c}")] = json!(m[(r, c)]);
         }

@@ -53,15 +53,8 @@ pub(super) struct Gathered {
 
 impl Gathered {
     pub fn new(kind: CloudKind, bounds: &Bounds, origin: Origin) -> Self {
-        let loaded = Loaded {
-            kind,
-            cloud: PointCloud::default(),
-            offset: [0.0; 3],
-            dropped: 0,
-            without_colour: 0,
-            has_colour: false,
-            thinned: 1,
-        };
+        let loaded =
+            Loaded { kind, cloud: PointCloud::default(), offset: [0.0; 3], dropped: 0, without_colour: 0, has_colour: false, thinned: 1 };
         let origin = match origin {
             Origin::Free => None,
             Origin::At(at) => Some(at),
@@ -167,7 +160,10 @@ impl Gathered {
         if let Some(p) = cloud.positions.iter().find(far) {
             return Err(IngestError::malformed(
                 file,
-                format!("the point ({}, {}, {}) lies more than 10 km from the origin: take an offset off the whole scan first", p.x, p.y, p.z),
+                format!(
+                    "the point ({}, {}, {}) lies more than 10 km from the origin: take an offset off the whole scan first",
+                    p.x, p.y, p.z
+                ),
             ));
         }
         if cloud.is_empty() {
@@ -186,7 +182,10 @@ impl Bounds {
         match points > self.announced as u64 {
             true => Err(IngestError::malformed(
                 file,
-                format!("it announces {points} points, {} are read at most: thin it out first, a point for every 5 mm is plenty", self.announced),
+                format!(
+                    "it announces {points} points, {} are read at most: thin it out first, a point for every 5 mm is plenty",
+                    self.announced
+                ),
             )),
             false => Ok(()),
         }

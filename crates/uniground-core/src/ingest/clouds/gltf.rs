@@ -23,7 +23,8 @@ const MAX_NODES: usize = 100_000;
 const TRIANGLES: u32 = 4;
 const POINTS: u32 = 0;
 /// What changes how geometry is stored; without these a file can not be read.
-const KNOWN_EXTENSIONS: [&str; 4] = ["KHR_mesh_quantization", "KHR_materials_unlit", "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness"];
+const KNOWN_EXTENSIONS: [&str; 4] =
+    ["KHR_mesh_quantization", "KHR_materials_unlit", "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness"];
 
 pub(super) fn check(root: &Utf8Path, file: &Utf8Path) -> Result<(), IngestError> {
     open(root, file).map(drop)
@@ -156,14 +157,24 @@ fn add(
     let corner = |i: usize| -> Result<Corner, String> {
         let p = positions.get(i).ok_or_else(|| format!("vertex {i} is not there"))?;
         let p = to_world.transform_point(&nalgebra::Point3::new(p[0], p[1], p[2]));
-        let own = colours.as_ref().and_then(|c| c.get(i)).map_or([1.0; 3], |c| [c[0] as f32, c[1] as f32, c[2] as f32]);
+        let own = colours
+            .as_ref()
+            .and_then(|c| c.get(i))
+            .map_or([1.0; 3], |c| [c[0] as f32, c[1] as f32, c[2] as f32]);
         // Factors and vertex colours are light, pictures are what screens show.
         let tint = std::array::from_fn(|k| srgb(own[k] * factor[k]));
         let uv = places.as_ref().and_then(|places| places.get(i)).map(|uv| [uv[0] as f32, uv[1] as f32]);
         Ok(Corner { at: [p.x, p.y, p.z], tint, uv })
     };
     let indices: Box<dyn Iterator<Item = usize>> = match primitive.indices {
-        Some(indices) => Box::new(buffers.accessor(document, indices, 1)?.rows().map(|i| i[0] as usize).collect::<Vec<_>>().into_iter()),
+        Some(indices) => Box::new(
+            buffers
+                .accessor(document, indices, 1)?
+                .rows()
+                .map(|i| i[0] as usize)
+                .collect::<Vec<_>>()
+                .into_iter(),
+        ),
         None => Box::new(0..positions.len()),
     };
     match primitive.mode.unwrap_or(TRIANGLES) {

@@ -51,7 +51,10 @@ impl Triangle {
         let mix = |of: &dyn Fn(&Corner) -> f64| self.corners.iter().zip(weights).map(|(corner, w)| of(corner) * w).sum::<f64>();
         let position = std::array::from_fn(|i| mix(&|c| c.at[i]));
         let tint: [f64; 3] = std::array::from_fn(|i| mix(&|c| f64::from(c.tint[i])));
-        let texture = self.texture.and_then(|t| textures.get(t as usize)).filter(|_| self.corners.iter().all(|c| c.uv.is_some()));
+        let texture = self
+            .texture
+            .and_then(|t| textures.get(t as usize))
+            .filter(|_| self.corners.iter().all(|c| c.uv.is_some()));
         let base = texture.map_or([255; 3], |texture| {
             let uv = |i: usize| mix(&|c| f64::from(c.uv.unwrap_or_default()[i])) as f32;
             texture.at(uv(0), uv(1))

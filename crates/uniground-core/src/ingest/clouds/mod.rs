@@ -15,8 +15,8 @@ mod texture;
 use super::IngestError;
 use crate::geometry::up_axis::UpAxis;
 use camino::Utf8Path;
-pub(super) use gathered::{Bounds, Loaded, Origin};
 use gathered::Gathered;
+pub(super) use gathered::{Bounds, Loaded, Origin};
 use std::fs::File;
 use std::io::Read;
 
@@ -148,7 +148,10 @@ fn kind_of(root: &Utf8Path, file: &Utf8Path) -> Result<CloudKind, IngestError> {
         Some(kind) => Ok(kind),
         // What is called PLY is read as such: its reader says what is wrong with it.
         None if file.extension() == Some("ply") => Ok(CloudKind::Ply),
-        None => Err(IngestError::malformed(file, "not a cloud that is read: PLY, PCD, LAS, LAZ, E57, XYZ, PTS, TXT, CSV, OBJ, glTF and GLB are")),
+        None => Err(IngestError::malformed(
+            file,
+            "not a cloud that is read: PLY, PCD, LAS, LAZ, E57, XYZ, PTS, TXT, CSV, OBJ, glTF and GLB are",
+        )),
     }
 }
 

@@ -63,7 +63,10 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
 
 impl Reading {
     fn vertex<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
-        let values: Vec<f64> = words.take(8).map(|w| w.parse().map_err(|_| format!("{w:?} is not a number"))).collect::<Result<_, _>>()?;
+        let values: Vec<f64> = words
+            .take(8)
+            .map(|w| w.parse().map_err(|_| format!("{w:?} is not a number")))
+            .collect::<Result<_, _>>()?;
         let [x, y, z, rest @ ..] = &values[..] else { return Err("a vertex has three numbers".into()) };
         self.positions.push([*x, *y, *z]);
         // Colours are shares by habit; some write bytes. A fourth number alone is a weight.
@@ -76,7 +79,10 @@ impl Reading {
     }
 
     fn texture_place<'a>(&mut self, words: impl Iterator<Item = &'a str>) -> Result<(), String> {
-        let values: Vec<f32> = words.take(2).map(|w| w.parse().map_err(|_| format!("{w:?} is not a number"))).collect::<Result<_, _>>()?;
+        let values: Vec<f32> = words
+            .take(2)
+            .map(|w| w.parse().map_err(|_| format!("{w:?} is not a number")))
+            .collect::<Result<_, _>>()?;
         // Upwards in the file, downwards in pictures.
         self.uvs.push([values.first().copied().unwrap_or(0.0), 1.0 - values.get(1).copied().unwrap_or(0.0)]);
         Ok(())
@@ -103,7 +109,9 @@ impl Reading {
             });
         }
         for pair in corners.windows(2).skip(1) {
-            self.mesh.triangles.push(Triangle { corners: [corners[0], pair[0], pair[1]], texture: self.current });
+            self.mesh
+                .triangles
+                .push(Triangle { corners: [corners[0], pair[0], pair[1]], texture: self.current });
         }
         Ok(())
     }
@@ -121,7 +129,8 @@ impl Reading {
                 name.trim().clone_into(&mut material);
             } else if let Some(picture) = line.strip_prefix("map_Kd ") {
                 // Options come before the name; names with blanks are rare.
-                let picture = if picture.trim_start().starts_with('-') { picture.rsplit(' ').next().unwrap_or_default() } else { picture.trim() };
+                let picture =
+                    if picture.trim_start().starts_with('-') { picture.rsplit(' ').next().unwrap_or_default() } else { picture.trim() };
                 if self.mesh.textures.len() >= MAX_TEXTURES {
                     return Err(IngestError::malformed(library, format!("more than {MAX_TEXTURES} textures")));
                 }
@@ -130,7 +139,8 @@ impl Reading {
                 File::open(root.join(&picture))
                     .and_then(|f| f.take(MAX_TEXTURE_BYTES).read_to_end(&mut bytes))
                     .map_err(|e| IngestError::reading(&picture, e))?;
-                let texture = Texture::decode(&bytes).map_err(|e| IngestError::malformed(&picture, format!("not a readable picture: {e}")))?;
+                let texture =
+                    Texture::decode(&bytes).map_err(|e| IngestError::malformed(&picture, format!("not a readable picture: {e}")))?;
                 self.materials.insert(material.clone(), self.mesh.textures.len() as u32);
                 self.mesh.textures.push(texture);
                 self.mesh.has_colour = true;
@@ -176,11 +186,11 @@ mod tests {
     #[test]
     fn textures_give_colour() {
         let mut png = std::io::Cursor::new(Vec::new());
-        let picture = image::RgbImage::from_fn(2, 2, |x, y| if (x, y) == (0, 0) { image::Rgb([255, 0, 0]) } else { image::Rgb([0, 0, 255]) });
+        let picture =
+            image::RgbImage::from_fn(2, 2, |x, y| if (x, y) == (0, 0) { image::Rgb([255, 0, 0]) } else { image::Rgb([0, 0, 255]) });
         image::DynamicImage::from(picture).write_to(&mut png, image::ImageFormat::Png).unwrap();
         let obj = format!("mtllib a.mtl\nusemtl wood\n{SQUARE}f 1/1 2/2 3/3 4/4\n");
-        let loaded =
-            read_files(&[("a.obj", obj.as_bytes()), ("a.mtl", b"newmtl wood\nmap_Kd t.png\n"), ("t.png", png.get_ref())]).unwrap();
+        let loaded = read_files(&[("a.obj", obj.as_bytes()), ("a.mtl", b"newmtl wood\nmap_Kd t.png\n"), ("t.png", png.get_ref())]).unwrap();
         for (p, c) in loaded.cloud.positions.iter().zip(&loaded.cloud.colours) {
             // The picture's first row is at the top: high y.
             assert_eq!(*c, if p.x < 0.5 && p.y > 0.5 { [255, 0, 0] } else { [0, 0, 255] }, "{p}");
@@ -189,7 +199,9 @@ mod tests {
 
     #[test]
     fn what_is_wrong_is_named_by_line() {
-        for (text, expected) in [("v 1 2\n", "line 1"), ("v 1 2 3\nf 1 2 3\n", "line 2"), ("v 0 0 0\nf 1 1 1\n", "no area"), ("# nothing\n", "no points")] {
+        for (text, expected) in
+            [("v 1 2\n", "line 1"), ("v 1 2 3\nf 1 2 3\n", "line 2"), ("v 0 0 0\nf 1 1 1\n", "no area"), ("# nothing\n", "no points")]
+        {
             let message = read_files(&[("a.obj", text.as_bytes())]).unwrap_err().to_string();
             assert!(message.contains(expected), "{message}");
         }

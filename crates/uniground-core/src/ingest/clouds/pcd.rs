@@ -265,7 +265,11 @@ fn read_compressed(header: &Header, source: &mut impl Read, gathered: &mut Gathe
     let size = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| sizes[at + i])) as usize;
     let (compressed, unpacked_bytes) = (size(0), size(4));
     if unpacked_bytes != header.points * header.row_bytes {
-        return Err(format!("it unpacks to {unpacked_bytes} bytes, {} points have {}", header.points, header.points * header.row_bytes));
+        return Err(format!(
+            "it unpacks to {unpacked_bytes} bytes, {} points have {}",
+            header.points,
+            header.points * header.row_bytes
+        ));
     }
     let mut packed_bytes = Vec::new();
     source.take(compressed as u64).read_to_end(&mut packed_bytes).map_err(|e| e.to_string())?;
@@ -361,7 +365,10 @@ mod tests {
         compressed.extend(stored);
         for bytes in [ascii, binary, compressed] {
             let loaded = read_bytes(&bytes).unwrap();
-            assert_eq!((loaded.cloud.positions, loaded.cloud.colours, loaded.dropped), (vec![Point3::new(1.0, 2.0, 3.0)], vec![[10, 20, 30]], 1));
+            assert_eq!(
+                (loaded.cloud.positions, loaded.cloud.colours, loaded.dropped),
+                (vec![Point3::new(1.0, 2.0, 3.0)], vec![[10, 20, 30]], 1)
+            );
         }
     }
 

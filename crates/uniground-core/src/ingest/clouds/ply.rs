@@ -42,8 +42,9 @@ pub fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<
             continue;
         }
         gathered.coloured(["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)));
-        let in_doubles = |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
-        if !["x", "y", "z"].iter().any(|axis| in_doubles(axis)) {
+        let in_doubles =
+            |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
+        if !["x", "y", "z"].iter().any(in_doubles) {
             gathered.single_precision();
         }
         gathered.expect(file, element.count)?;

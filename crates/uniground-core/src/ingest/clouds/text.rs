@@ -32,7 +32,9 @@ struct Columns {
 
 /// Whether lines of at least three numbers stand at the beginning of a file, after a heading or a count at most.
 pub(super) fn recognises(head: &[u8]) -> bool {
-    let Ok(text) = std::str::from_utf8(&head[..head.iter().rposition(|b| *b == b'\n').map_or(head.len(), |at| at + 1)]) else { return false };
+    let Ok(text) = std::str::from_utf8(&head[..head.iter().rposition(|b| *b == b'\n').map_or(head.len(), |at| at + 1)]) else {
+        return false;
+    };
     let mut lines = text.lines().filter(|line| !line.trim().is_empty()).take(12).peekable();
     if lines.peek().is_none() {
         return false;

@@ -92,7 +92,8 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         return Err(incomplete(LOOKS_LIKE, "no picture has depth, a camera and a pose at its time"));
     }
     if left_out > 0 {
-        scan.warnings.push(format!("{left_out} of {} pictures left out: no depth, camera or pose at their time", colour.len()));
+        scan.warnings
+            .push(format!("{left_out} of {} pictures left out: no depth, camera or pose at their time", colour.len()));
     }
     scan.cloud = folder.clouds(&["_3dod_mesh.ply"]).into_iter().find(|file| file.extension() == Some("ply"));
     Ok(scan)
@@ -105,7 +106,10 @@ fn poses(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<(f64, Matrix4<f64>)>, I
     for (number, line) in text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()) {
         let values = parse(line).ok();
         let Some([time, rx, ry, rz, x, y, z]) = values.as_deref() else {
-            return Err(IngestError::malformed(file, format!("line {} is not seven numbers: time, axis-angle, translation", number + 1)));
+            return Err(IngestError::malformed(
+                file,
+                format!("line {} is not seven numbers: time, axis-angle, translation", number + 1),
+            ));
         };
         let rotation = Rotation3::new(Vector3::new(*rx, *ry, *rz)).to_homogeneous();
         poses.push((*time, Matrix4::new_translation(&Vector3::new(*x, *y, *z)) * rotation));

@@ -31,14 +31,9 @@ pub(super) fn recognises(folder: &Folder) -> bool {
 pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let mut scan = Scan::new(&folder.root, "color-depth-pose");
     scan.cloud = own_cloud(folder);
-    let list = |names: &[&'static str], endings: &[&str]| {
-        folder.first_folder(names).map_or(Ok(Vec::new()), |name| folder.files(name, endings))
-    };
-    let pictures = Pictures {
-        colour: list(COLOUR, PICTURES)?,
-        depth: list(DEPTH, DEPTHS)?,
-        confidence: list(CONFIDENCE, &["png"])?,
-    };
+    let list =
+        |names: &[&'static str], endings: &[&str]| folder.first_folder(names).map_or(Ok(Vec::new()), |name| folder.files(name, endings));
+    let pictures = Pictures { colour: list(COLOUR, PICTURES)?, depth: list(DEPTH, DEPTHS)?, confidence: list(CONFIDENCE, &["png"])? };
     let poses = match folder.first_folder(POSE) {
         Some(name) => Poses::Files(folder.files(name, &["txt"])?),
         None => match folder.first_file(TRAJECTORIES) {
@@ -59,7 +54,10 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
 
 /// A cloud beside posed pictures, by its name.
 pub(super) fn own_cloud(folder: &Folder) -> Option<Utf8PathBuf> {
-    folder.clouds(CLOUD).into_iter().find(|file| CLOUD.iter().any(|name| file.as_str().starts_with(name)))
+    folder
+        .clouds(CLOUD)
+        .into_iter()
+        .find(|file| CLOUD.iter().any(|name| file.as_str().starts_with(name)))
 }
 
 /// Pictures of a scan, each list in natural order.
@@ -151,8 +149,11 @@ pub(super) fn add_frames(
     if let Poses::Files(files) = poses
         && unmatched == Unmatched::Damaged
     {
-        let used: std::collections::BTreeSet<&Utf8PathBuf> =
-            pose_of.iter().flatten().filter_map(|p| if let Pose::File(file) = p { Some(file) } else { None }).collect();
+        let used: std::collections::BTreeSet<&Utf8PathBuf> = pose_of
+            .iter()
+            .flatten()
+            .filter_map(|p| if let Pose::File(file) = p { Some(file) } else { None })
+            .collect();
         alone.extend(files.iter().filter(|file| !used.contains(file)).cloned());
     }
     match unmatched {
@@ -169,7 +170,11 @@ pub(super) fn add_frames(
             return Err(pictures.mismatch(poses, first));
         }
         Unmatched::LeftOut if !alone.is_empty() => {
-            scan.warnings.push(format!("{} pictures left out, nothing else was taken at their moment: {} and so on", alone.len(), alone[0]));
+            scan.warnings.push(format!(
+                "{} pictures left out, nothing else was taken at their moment: {} and so on",
+                alone.len(),
+                alone[0]
+            ));
         }
         Unmatched::LeftOut => {}
     }
@@ -192,7 +197,11 @@ fn pose_of_each(colour: &[Utf8PathBuf], poses: &Poses) -> Result<Vec<Option<Pose
             if poses.len() != colour.len() {
                 return Err(IngestError::malformed(file, format!("it holds {} poses for {} colour pictures", poses.len(), colour.len())));
             }
-            poses.iter().enumerate().map(|(i, pose)| Some(Pose::At(*pose, entry(file, format_args!("pose {i}"))))).collect()
+            poses
+                .iter()
+                .enumerate()
+                .map(|(i, pose)| Some(Pose::At(*pose, entry(file, format_args!("pose {i}")))))
+                .collect()
         }
         Poses::List(Trajectory::Timed(poses), file) => {
             let mut poses = poses.clone();

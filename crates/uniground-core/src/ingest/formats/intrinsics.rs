@@ -55,7 +55,10 @@ pub(super) fn of_file(root: &Utf8Path, file: &Utf8Path, picture: &Utf8Path) -> R
         let Open3d { width, height, intrinsic_matrix } = camera;
         return match intrinsic_matrix[..] {
             [fx, _, _, _, fy, _, cx, cy, _] => Ok(Intrinsics { width, height, fx, fy, cx, cy }),
-            _ => Err(IngestError::malformed(file, format!("intrinsic_matrix has {} numbers, 9 are expected", intrinsic_matrix.len()))),
+            _ => Err(IngestError::malformed(
+                file,
+                format!("intrinsic_matrix has {} numbers, 9 are expected", intrinsic_matrix.len()),
+            )),
         };
     }
     let values = read_numbers(root, file)?;
@@ -80,7 +83,10 @@ pub(super) fn of_pincam(root: &Utf8Path, file: &Utf8Path) -> Result<Intrinsics, 
     let text = read_text(root, file, MAX_JSON_BYTES)?;
     let values = parse(&text).map_err(|word| IngestError::malformed(file, format!("{word:?} is not a number")))?;
     let [w, h, fx, fy, cx, cy] = values[..] else {
-        return Err(IngestError::malformed(file, format!("a camera has 6 numbers (width height fx fy cx cy), this file has {}", values.len())));
+        return Err(IngestError::malformed(
+            file,
+            format!("a camera has 6 numbers (width height fx fy cx cy), this file has {}", values.len()),
+        ));
     };
     Ok(Intrinsics { width: w as u32, height: h as u32, fx: fx as f32, fy: fy as f32, cx: cx as f32, cy: cy as f32 })
 }

@@ -2,8 +2,8 @@
 //! there, the most particular first; what is recognised and incomplete is refused with what it looks like and what is missing.
 
 mod arkit_scenes;
-mod color_depth_pose;
 mod colmap;
+mod color_depth_pose;
 mod files;
 mod intrinsics;
 mod lone_cloud;

@@ -40,6 +40,7 @@ struct Frame {
 
 /// Whole or in part: what a frame does not say is as for all.
 #[derive(Deserialize, Clone, Copy, Default)]
+#[allow(clippy::struct_field_names)] // Theirs.
 struct Camera {
     fl_x: Option<f32>,
     fl_y: Option<f32>,
@@ -83,7 +84,11 @@ impl Camera {
             _ => picture_size(root, picture)?.ok_or_else(|| IngestError::malformed(picture, "it does not say its size"))?,
         };
         let by_angle = self.camera_angle_x.map(|angle| 0.5 * width as f32 / (0.5 * angle).tan());
-        let fx = self.fl_x.or(self.fl_y).or(by_angle).ok_or_else(|| IngestError::MissingIntrinsics { file: FILE.into() })?;
+        let fx = self
+            .fl_x
+            .or(self.fl_y)
+            .or(by_angle)
+            .ok_or_else(|| IngestError::MissingIntrinsics { file: FILE.into() })?;
         let (cx, cy) = (self.cx.unwrap_or(width as f32 / 2.0), self.cy.unwrap_or(height as f32 / 2.0));
         Ok(Intrinsics { width, height, fx, fy: self.fl_y.unwrap_or(fx), cx, cy })
     }
@@ -105,7 +110,10 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let text = read_text(root, Utf8Path::new(FILE), MAX_BYTES)?;
     let transforms: Transforms = serde_json::from_str(&text).map_err(|e| IngestError::malformed(FILE, e))?;
     check_frames(FILE, transforms.frames.len())?;
-    let fisheye = transforms.camera_model.as_deref().is_some_and(|model| model.contains("FISHEYE") || model == "EQUIRECTANGULAR");
+    let fisheye = transforms
+        .camera_model
+        .as_deref()
+        .is_some_and(|model| model.contains("FISHEYE") || model == "EQUIRECTANGULAR");
     if fisheye || transforms.camera.is_fisheye == Some(true) {
         let model = transforms.camera_model.as_deref().unwrap_or("fisheye");
         return Err(incomplete(LOOKS_LIKE, format!("its cameras are {model}: undistort the pictures to pinholes first")));
@@ -124,7 +132,10 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
                 "its frames have no depth_file_path and there is no cloud: pictures alone are not read, add depth or a cloud in metres",
             ));
         }
-        scan.warnings.push(format!("{} pictures are left aside: they have no depth (depth_file_path), the cloud is read alone", transforms.frames.len()));
+        scan.warnings.push(format!(
+            "{} pictures are left aside: they have no depth (depth_file_path), the cloud is read alone",
+            transforms.frames.len()
+        ));
         return Ok(scan);
     }
     if let Some(scale) = transforms.integer_depth_scale.filter(|scale| scale.is_finite() && *scale > 0.0) {
@@ -139,12 +150,15 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
 fn raw_frame(root: &Utf8Path, number: usize, frame: &Frame, all: Camera) -> Result<RawFrame, IngestError> {
     let pose_file = entry(Utf8Path::new(FILE), format_args!("frame {number}"));
     let colour = picture(root, &frame.file_path)?;
-    let depth = frame.depth_file_path.as_ref().ok_or_else(|| IngestError::malformed(&pose_file, "it has no depth_file_path"))?;
+    let depth = frame
+        .depth_file_path
+        .as_ref()
+        .ok_or_else(|| IngestError::malformed(&pose_file, "it has no depth_file_path"))?;
     let depth = picture(root, depth)?;
     let camera = frame.camera.or(all);
     let intrinsics = camera.intrinsics(root, &colour)?;
-    let pose = matrix(&frame.transform_matrix.concat())
-        .ok_or_else(|| IngestError::malformed(&pose_file, "its transform_matrix is not 4x4"))?;
+    let pose =
+        matrix(&frame.transform_matrix.concat()).ok_or_else(|| IngestError::malformed(&pose_file, "its transform_matrix is not 4x4"))?;
     let lens = camera.lens();
     Ok(RawFrame {
         index: FrameIndex(0),

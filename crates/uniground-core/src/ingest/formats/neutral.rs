@@ -1,8 +1,8 @@
 //! The neutral layout: `scene.json` names every file and convention (`uniground-scene/1`).
 
 use super::check_frames;
-use super::files::{Folder, inside};
 use super::color_depth_pose::LEAST_CONFIDENCE;
+use super::files::{Folder, inside};
 use super::numbers::read_pose;
 use crate::geometry::up_axis::UpAxis;
 use crate::ingest::IngestError;
@@ -94,7 +94,10 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
             .intrinsics
             .or(manifest.intrinsics)
             .ok_or_else(|| IngestError::MissingIntrinsics { file: format!("scene.json, frame {i}").into() })?;
-        for path in [Some(&frame.color), Some(&frame.depth), Some(&frame.pose), frame.confidence.as_ref()].into_iter().flatten() {
+        for path in [Some(&frame.color), Some(&frame.depth), Some(&frame.pose), frame.confidence.as_ref()]
+            .into_iter()
+            .flatten()
+        {
             inside(path, NAMED)?;
         }
         let depth_intrinsics = frame.depth_intrinsics.or(manifest.depth_intrinsics);

@@ -23,8 +23,7 @@ pub(super) fn parse(text: &str) -> Result<Vec<f64>, &str> {
 /// Reads a row-major 4x4 pose; 3x4 without its last row is fine.
 pub(super) fn read_pose(root: &Utf8Path, file: &Utf8Path) -> Result<Matrix4<f64>, IngestError> {
     let values = read_numbers(root, file)?;
-    matrix(&values)
-        .ok_or_else(|| IngestError::malformed(file, format!("a pose has 16 numbers (4x4), this file has {}", values.len())))
+    matrix(&values).ok_or_else(|| IngestError::malformed(file, format!("a pose has 16 numbers (4x4), this file has {}", values.len())))
 }
 
 /// 16 or 12 numbers, row-major.

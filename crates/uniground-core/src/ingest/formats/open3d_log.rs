@@ -7,7 +7,7 @@ use super::{incomplete, intrinsics, trajectory};
 use crate::ingest::IngestError;
 use crate::ingest::scan::Scan;
 use crate::scene::Intrinsics;
-use camino::Utf8PathBuf;
+use camino::{Utf8Path, Utf8PathBuf};
 
 const LOOKS_LIKE: &str = "an Open3D scene with a trajectory log";
 const COLOUR: &[&str] = &["color", "image", "rgb"];
@@ -15,7 +15,13 @@ const LOGS: &[&str] = &["trajectory.log", "scene/trajectory.log", "scene/integra
 const PRIMESENSE: Intrinsics = Intrinsics { width: 640, height: 480, fx: 525.0, fy: 525.0, cx: 319.5, cy: 239.5 };
 
 fn log(folder: &Folder) -> Option<Utf8PathBuf> {
-    let other = || folder.names().iter().find(|name| name.ends_with(".log")).map(Utf8PathBuf::from);
+    let other = || {
+        folder
+            .names()
+            .iter()
+            .find(|name| Utf8Path::new(name).extension() == Some("log"))
+            .map(Utf8PathBuf::from)
+    };
     folder.first_file(LOGS).or_else(other)
 }
 
@@ -28,12 +34,14 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let pictures = Pictures { colour, depth: folder.files("depth", DEPTHS)?, confidence: Vec::new() };
     let Some(first) = pictures.colour.first() else { return Err(incomplete(LOOKS_LIKE, "its colour pictures are missing")) };
     let mut scan = Scan::new(&folder.root, "open3d-log");
-    let colour = match intrinsics::colour_file(folder) {
-        Some(_) => intrinsics::of_colour(folder, first)?,
-        None => {
-            scan.warnings.push("nothing says which camera it was: taken as a PrimeSense (525 525 319.5 239.5); intrinsic.txt or camera_intrinsic.json says better".into());
-            PRIMESENSE
-        }
+    let colour = if intrinsics::colour_file(folder).is_some() {
+        intrinsics::of_colour(folder, first)?
+    } else {
+        scan.warnings.push(
+            "nothing says which camera it was: taken as a PrimeSense (525 525 319.5 239.5); intrinsic.txt or camera_intrinsic.json says better"
+                .into(),
+        );
+        PRIMESENSE
     };
     let file = log(folder).unwrap_or_else(|| LOGS[0].into());
     let poses = Poses::List(trajectory::read(&folder.root, &file)?, file);

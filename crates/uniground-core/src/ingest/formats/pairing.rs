@@ -87,7 +87,7 @@ pub(super) fn nearest(first: &[Option<f64>], second: &[Option<f64>], within_s: f
     for (i, time) in first.iter().enumerate() {
         let Some(time) = time.filter(|t| t.is_finite()) else { continue };
         let after = order.partition_point(|(t, _)| *t < time);
-        for (other, j) in order[after.saturating_sub(2)..(after + 2).min(order.len())].iter() {
+        for (other, j) in &order[after.saturating_sub(2)..(after + 2).min(order.len())] {
             if (other - time).abs() <= within_s {
                 pairs.push(((other - time).abs(), i, *j));
             }
@@ -117,7 +117,11 @@ mod tests {
     fn names_numbers_and_times_find_their_partners() {
         for (first, second, expected) in [
             (["color/1.jpg", "color/10.jpg"], ["depth/10.png", "depth/1.png"], [Some(1), Some(0)]),
-            (["c/frame-000001.color.jpg", "c/frame-000002.color.jpg"], ["c/frame-000001.depth.pgm", "c/frame-000003.depth.pgm"], [Some(0), None]),
+            (
+                ["c/frame-000001.color.jpg", "c/frame-000002.color.jpg"],
+                ["c/frame-000001.depth.pgm", "c/frame-000003.depth.pgm"],
+                [Some(0), None],
+            ),
             (["rgb/img_7.png", "rgb/img_8.png"], ["depth/0007.png", "depth/0008.png"], [Some(0), Some(1)]),
             (["rgb/100.010.png", "rgb/100.045.png"], ["depth/100.020.png", "depth/100.100.png"], [Some(0), None]),
             (["rgb/1600000000010000000.png", "rgb/a.png"], ["depth/1600000000.012.png", "depth/b.png"], [Some(0), None]),

@@ -72,8 +72,11 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     };
     let (colour, cameras, depth, confidence) =
         (list(images, PICTURES)?, list(cameras, &["json"])?, list("depth", DEPTHS)?, list("confidence", &["png"])?);
-    let (camera_of, depth_of, confidence_of) =
-        (pairing::partners(&colour, &cameras), pairing::partners(&colour, &depth), pairing::partners(&colour, &confidence));
+    let (camera_of, depth_of, confidence_of) = (
+        pairing::partners(&colour, &cameras),
+        pairing::partners(&colour, &depth),
+        pairing::partners(&colour, &confidence),
+    );
     let mut scan = Scan::new(&folder.root, "polycam");
     scan.camera_axes = CameraAxes::Opengl;
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);

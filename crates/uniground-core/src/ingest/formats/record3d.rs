@@ -68,7 +68,11 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
             _ => whole,
         };
         let [colour, depth, confidence] = ["jpg", "depth", "conf"].map(|ending| Utf8PathBuf::from(format!("rgbd/{i}.{ending}")));
-        let confidence = folder.root.join(&confidence).is_file().then_some(Confidence { file: confidence, at_least: LEAST_CONFIDENCE });
+        let confidence = folder
+            .root
+            .join(&confidence)
+            .is_file()
+            .then_some(Confidence { file: confidence, at_least: LEAST_CONFIDENCE });
         let missing = [&colour, &depth].into_iter().find(|file| !folder.root.join(file).is_file());
         let frame = match missing {
             Some(file) => Err(IngestError::MissingFile { file: file.clone() }),

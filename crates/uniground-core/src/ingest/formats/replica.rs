@@ -57,19 +57,23 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let results = room.join("results");
     let named = |start: &str, endings: &[&str]| -> Result<Vec<Utf8PathBuf>, IngestError> {
         let files = folder.files(results.as_str(), endings)?;
-        Ok(files.into_iter().filter(|file| file.file_name().is_some_and(|name| name.starts_with(start))).collect())
+        Ok(files
+            .into_iter()
+            .filter(|file| file.file_name().is_some_and(|name| name.starts_with(start)))
+            .collect())
     };
     let pictures = Pictures { colour: named("frame", PICTURES)?, depth: named("depth", DEPTHS)?, confidence: Vec::new() };
     if pictures.colour.is_empty() || pictures.depth.is_empty() {
         return Err(incomplete(LOOKS_LIKE, "results/ holds no frame* and depth* pictures"));
     }
     let mut scan = Scan::new(&folder.root, "replica");
-    let camera = match folder.first_file(&[CAMERA]).or_else(|| Some(room.join(CAMERA)).filter(|file| folder.root.join(file).is_file())) {
-        Some(file) => parameters(&folder.root, &file)?,
-        None => {
-            scan.warnings.push(format!("{CAMERA} is missing: taken as 1200x680, focal length 600, depth in 1/6553.5 m"));
-            USUAL
-        }
+    let file = [CAMERA.into(), room.join(CAMERA)].into_iter().find(|file| folder.root.join(file).is_file());
+    let camera = if let Some(file) = file {
+        parameters(&folder.root, &file)?
+    } else {
+        scan.warnings
+            .push(format!("{CAMERA} is missing: taken as 1200x680, focal length 600, depth in 1/6553.5 m"));
+        USUAL
     };
     let Camera { w: width, h: height, fx, fy, cx, cy, scale } = camera;
     if !(scale.is_finite() && scale > 0.0) {

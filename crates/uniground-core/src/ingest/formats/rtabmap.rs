@@ -32,19 +32,24 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let missing = |what: &str| incomplete(LOOKS_LIKE, format!("{what} is missing"));
     let [rgb, depth, calibration] = ["rgb", "depth", "calib"].map(|name| part(folder, name).ok_or_else(|| missing(name)));
     let (rgb, depth, calibration) = (rgb?, depth?, calibration?);
-    let file = poses_file(folder).ok_or_else(|| missing("the file of the camera's poses (rtabmap-export --poses_camera --poses_format 1)"))?;
+    let file =
+        poses_file(folder).ok_or_else(|| missing("the file of the camera's poses (rtabmap-export --poses_camera --poses_format 1)"))?;
     let pictures = Pictures { colour: folder.files(&rgb, PICTURES)?, depth: folder.files(&depth, DEPTHS)?, confidence: Vec::new() };
     let calibrations = folder.files(&calibration, &["yaml", "yml"])?;
     let first = calibrations.first().ok_or_else(|| missing("the camera's calibration"))?;
     let mut scan = Scan::new(&folder.root, "rtabmap");
     scan.up = Some(crate::geometry::up_axis::UpAxis::Z);
     if !file.as_str().ends_with("camera_poses.txt") {
-        scan.warnings.push(format!("{file} is taken for the camera's poses; those of a robot's base would need its mounting taken off"));
+        scan.warnings
+            .push(format!("{file} is taken for the camera's poses; those of a robot's base would need its mounting taken off"));
     }
     let cameras = Cameras { colour: camera(&folder.root, first)?, depth: None };
     let poses = Poses::List(trajectory::read(&folder.root, &file)?, file);
     add_frames(&mut scan, &pictures, &poses, &cameras, Unmatched::LeftOut)?;
-    scan.cloud = folder.clouds(&["_cloud.ply", "cloud.ply", "_mesh.ply"]).into_iter().find(|file| file.extension() == Some("ply"));
+    scan.cloud = folder
+        .clouds(&["_cloud.ply", "cloud.ply", "_mesh.ply"])
+        .into_iter()
+        .find(|file| file.extension() == Some("ply"));
     Ok(scan)
 }
 

@@ -37,14 +37,19 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let root = &folder.root;
     let (colour, depth) = (files(folder, "frame_", PICTURES)?, files(folder, "depth_", DEPTHS)?);
     let (taken, confidence) = (files(folder, "frame_", &["json"])?, files(folder, "conf_", &["png"])?);
-    for (list, what) in [(&colour, "the pictures frame_*.jpg are"), (&depth, "the depth pictures depth_*.png are"), (&taken, "the poses frame_*.json are")] {
+    for (list, what) in
+        [(&colour, "the pictures frame_*.jpg are"), (&depth, "the depth pictures depth_*.png are"), (&taken, "the poses frame_*.json are")]
+    {
         if list.is_empty() {
             return Err(incomplete(LOOKS_LIKE, format!("{what} missing: export \"all data\"")));
         }
     }
     // More poses than pictures are written; depth comes with pictures.
-    let (depth_of, taken_of, confidence_of) =
-        (pairing::partners(&colour, &depth), pairing::partners(&colour, &taken), pairing::partners(&colour, &confidence));
+    let (depth_of, taken_of, confidence_of) = (
+        pairing::partners(&colour, &depth),
+        pairing::partners(&colour, &taken),
+        pairing::partners(&colour, &confidence),
+    );
     let mut scan = Scan::new(root, "3d-scanner-app");
     scan.camera_axes = CameraAxes::Opengl;
     (scan.up, scan.by_gravity) = (Some(UpAxis::Y), true);

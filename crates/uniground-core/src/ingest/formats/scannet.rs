@@ -23,7 +23,12 @@ pub(super) fn recognises(folder: &Folder) -> bool {
 
 /// `00000.jpg`, `00000.png` and `00000.txt` in one folder.
 fn is_flat(folder: &Folder) -> bool {
-    let has = |ending: &str| folder.names().iter().any(|name| name.ends_with(ending) && name.starts_with(|c: char| c.is_ascii_digit()));
+    let has = |ending: &str| {
+        folder
+            .names()
+            .iter()
+            .any(|name| name.ends_with(ending) && name.starts_with(|c: char| c.is_ascii_digit()))
+    };
     has(".jpg") && has(".png") && has(".txt") && intrinsics::colour_file(folder).is_some()
 }
 
@@ -48,12 +53,19 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let cameras = if flat || !folder.has_file(COLOUR_CAMERA) {
         Cameras { colour: intrinsics::of_colour(folder, colour)?, depth: None }
     } else {
-        let depth_camera = folder.has_file(DEPTH_CAMERA).then(|| intrinsics::of_file(root, Utf8Path::new(DEPTH_CAMERA), depth)).transpose()?;
+        let depth_camera = folder
+            .has_file(DEPTH_CAMERA)
+            .then(|| intrinsics::of_file(root, Utf8Path::new(DEPTH_CAMERA), depth))
+            .transpose()?;
         Cameras { colour: intrinsics::of_file(root, Utf8Path::new(COLOUR_CAMERA), colour)?, depth: depth_camera }
     };
     add_frames(&mut scan, &pictures, &Poses::Files(poses), &cameras, Unmatched::Damaged)?;
     let is_mesh = |file: &Utf8PathBuf| MESHES.iter().any(|ending| file.as_str().ends_with(ending));
-    scan.cloud = folder.clouds(MESHES).into_iter().find(is_mesh).or_else(|| super::color_depth_pose::own_cloud(folder));
+    scan.cloud = folder
+        .clouds(MESHES)
+        .into_iter()
+        .find(is_mesh)
+        .or_else(|| super::color_depth_pose::own_cloud(folder));
     if let Some((alignment, file)) = alignment(folder)? {
         scan.warnings.push(format!("{file}: its axis alignment is applied to poses and cloud"));
         scan.alignment = Some(alignment);
@@ -63,13 +75,18 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
 
 /// `axisAlignment` of the scene's own text file, unless it says nothing.
 fn alignment(folder: &Folder) -> Result<Option<(Matrix4<f64>, Utf8PathBuf)>, IngestError> {
-    for name in folder.names().iter().filter(|name| name.starts_with("scene") && name.ends_with(".txt")) {
+    for name in folder
+        .names()
+        .iter()
+        .filter(|name| name.starts_with("scene") && Utf8Path::new(name).extension() == Some("txt"))
+    {
         let file = Utf8Path::new(name);
         let text = read_text(&folder.root, file, MAX_META_BYTES)?;
         let Some(values) = values_of(&text, "axisAlignment") else { continue };
         let values = parse(values).map_err(|word| IngestError::malformed(file, format!("axisAlignment: {word:?} is not a number")))?;
         let matrix = matrix(&values).filter(|_| values.len() == 16);
-        let matrix = matrix.ok_or_else(|| IngestError::malformed(file, format!("axisAlignment has {} numbers, 16 are expected", values.len())))?;
+        let matrix =
+            matrix.ok_or_else(|| IngestError::malformed(file, format!("axisAlignment has {} numbers, 16 are expected", values.len())))?;
         return Ok((matrix != Matrix4::identity()).then(|| (matrix, file.to_owned())));
     }
     Ok(None)

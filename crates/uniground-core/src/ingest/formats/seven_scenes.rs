@@ -20,11 +20,17 @@ const CLOUDS: &[&str] = &["labels.instances.annotated.v2.ply", "mesh.refined.v2.
 
 /// The folder of the frames, below the one that was opened.
 fn frames_in(folder: &Folder) -> Option<&'static str> {
-    let has = |names: &[String]| names.iter().any(|name| name.starts_with("frame-") && name.ends_with(".pose.txt") || name.contains(".color."));
+    let has = |names: &[String]| {
+        names
+            .iter()
+            .any(|name| name.starts_with("frame-") && name.ends_with(".pose.txt") || name.contains(".color."))
+    };
     if has(folder.names()) {
         return Some("");
     }
-    ["sequence", "seq-01"].into_iter().find(|name| Folder::open(&folder.root.join(name)).is_ok_and(|inner| has(inner.names())))
+    ["sequence", "seq-01"]
+        .into_iter()
+        .find(|name| Folder::open(&folder.root.join(name)).is_ok_and(|inner| has(inner.names())))
 }
 
 pub(super) fn recognises(folder: &Folder) -> bool {
@@ -60,7 +66,8 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         }
         None if intrinsics::colour_file(folder).is_some() => Cameras { colour: intrinsics::of_colour(folder, first)?, depth: None },
         None => {
-            scan.warnings.push("cameras are taken as the Kinect of 7-Scenes (585 585 320 240); intrinsic.txt says better".into());
+            scan.warnings
+                .push("cameras are taken as the Kinect of 7-Scenes (585 585 320 240); intrinsic.txt says better".into());
             Cameras { colour: KINECT, depth: None }
         }
     };
@@ -78,7 +85,10 @@ fn camera(info: &Utf8Path, text: &str, which: &str) -> Result<Intrinsics, Ingest
         values_of(text, &key).and_then(|v| v.parse::<u32>().ok()).ok_or_else(|| missing(&key))
     };
     let key = format!("m_calibration{which}Intrinsic");
-    let values = values_of(text, &key).and_then(|v| parse(v).ok()).filter(|v| v.len() == 16).ok_or_else(|| missing(&key))?;
+    let values = values_of(text, &key)
+        .and_then(|v| parse(v).ok())
+        .filter(|v| v.len() == 16)
+        .ok_or_else(|| missing(&key))?;
     let [fx, fy, cx, cy] = [0, 5, 2, 6].map(|i| values[i] as f32);
     Ok(Intrinsics { width: size("Width")?, height: size("Height")?, fx, fy, cx, cy })
 }

@@ -60,12 +60,9 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
                     ..Optics::default()
                 },
             }),
-            _ => Err(IngestError::FrameCountMismatch {
-                colour: colour.len(),
-                depth: depth.len(),
-                pose: poses.len(),
-                first: picture.clone(),
-            }),
+            _ => {
+                Err(IngestError::FrameCountMismatch { colour: colour.len(), depth: depth.len(), pose: poses.len(), first: picture.clone() })
+            }
         };
         scan.add(frame)?;
     }

@@ -37,9 +37,16 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path) -> Result<Trajectory, Inges
             return Err(IngestError::malformed(file, "it has too many lines"));
         }
     }
-    let strange = |n: usize| IngestError::malformed(file, format!("no list of poses: its lines have {n} numbers, 8 (time, position, quaternion), 12 or 16 (matrix) are read"));
+    let strange = |n: usize| {
+        IngestError::malformed(
+            file,
+            format!("no list of poses: its lines have {n} numbers, 8 (time, position, quaternion), 12 or 16 (matrix) are read"),
+        )
+    };
     match rows.first().map_or(0, Vec::len) {
-        3 => log(&rows).map(Trajectory::Ordered).ok_or_else(|| IngestError::malformed(file, "not a log of poses: three numbers, then four lines of four")),
+        3 => log(&rows)
+            .map(Trajectory::Ordered)
+            .ok_or_else(|| IngestError::malformed(file, "not a log of poses: three numbers, then four lines of four")),
         12 | 16 => {
             let poses = rows.iter().map(|row| matrix(row).ok_or_else(|| strange(row.len()))).collect::<Result<_, _>>()?;
             Ok(Trajectory::Ordered(poses))

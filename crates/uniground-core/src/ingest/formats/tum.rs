@@ -28,9 +28,9 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
         false => Err(incomplete(LOOKS_LIKE, format!("{name} is missing"))),
     });
     let ((colour, heading), (depth, _)) = (colour?, depth?);
-    let poses_file = folder
-        .first_file(POSES)
-        .ok_or_else(|| incomplete(LOOKS_LIKE, "groundtruth.txt is missing: a trajectory in its format (timestamp tx ty tz qx qy qz qw) will do"))?;
+    let poses_file = folder.first_file(POSES).ok_or_else(|| {
+        incomplete(LOOKS_LIKE, "groundtruth.txt is missing: a trajectory in its format (timestamp tx ty tz qx qy qz qw) will do")
+    })?;
     let Trajectory::Timed(mut poses) = trajectory::read(root, &poses_file)? else {
         return Err(IngestError::malformed(poses_file, "its lines must be: timestamp tx ty tz qx qy qz qw"));
     };
@@ -118,7 +118,9 @@ fn camera(folder: &Folder, heading: &str, first: &Utf8Path, scan: &mut Scan) -> 
     } else if named(3) {
         (of(535.4, 539.2, 320.1, 247.6), None)
     } else {
-        scan.warnings.push("nothing says which camera it was: taken as a Kinect (525 525 319.5 239.5); intrinsic.txt beside the lists says better".into());
+        scan.warnings.push(
+            "nothing says which camera it was: taken as a Kinect (525 525 319.5 239.5); intrinsic.txt beside the lists says better".into(),
+        );
         (of(525.0, 525.0, 319.5, 239.5), None)
     })
 }

@@ -111,7 +111,7 @@ mod tests {
             depth_intrinsics: intrinsics,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::from_parts(Translation3::from(at), turn),
-            optics: Default::default(),
+            optics: crate::scene::Optics::default(),
         }
     }
 

@@ -93,9 +93,10 @@ fn is_usual(up: &Vector3<f32>) -> bool {
 fn directions(surfaces: &[Surface]) -> Vec<Vector3<f32>> {
     let close = SAME_DEG.to_radians().cos();
     let step = surfaces.len().div_ceil(400).max(1);
-    let guesses = [Vector3::x(), Vector3::y(), Vector3::z()].into_iter().chain(surfaces.iter().step_by(step).map(|s| s.normal));
-    let mut weighed: Vec<(f32, Vector3<f32>)> =
-        guesses.map(|guess| (measure(surfaces, &guess).level, guess)).collect();
+    let guesses = [Vector3::x(), Vector3::y(), Vector3::z()]
+        .into_iter()
+        .chain(surfaces.iter().step_by(step).map(|s| s.normal));
+    let mut weighed: Vec<(f32, Vector3<f32>)> = guesses.map(|guess| (measure(surfaces, &guess).level, guess)).collect();
     weighed.sort_by(|a, b| b.0.total_cmp(&a.0));
     let mut found: Vec<Vector3<f32>> = Vec::new();
     for (level, guess) in weighed {
@@ -147,7 +148,10 @@ impl Shape<'_> {
         let cell = |p: &Point3<f32>| VoxelKey::of(&Point3::new(p.coords.dot(&a), p.coords.dot(&b), 0.0), CELL_M);
         let footprint = self.points.iter().map(&cell).collect::<BTreeSet<_>>().len().max(1) as f32;
         let sheet = |level: f32| {
-            let on = self.surfaces.iter().filter(|s| s.normal.dot(up).abs() > 0.97 && (s.at.coords.dot(up) - level).abs() < END_M);
+            let on = self
+                .surfaces
+                .iter()
+                .filter(|s| s.normal.dot(up).abs() > 0.97 && (s.at.coords.dot(up) - level).abs() < END_M);
             // A surface cell may be wider than a footprint cell: areas, not counts.
             (on.map(|s| s.weight).sum::<f32>() / (footprint * CELL_M * CELL_M)).min(1.0)
         };
@@ -182,9 +186,10 @@ impl Shape<'_> {
     /// Share of surfaces that are upright with an axis and face none of the walls' directions.
     fn turned_about(&self, axis: &Vector3<f32>, walls: &[Vector3<f32>]) -> f32 {
         let total = self.surfaces.iter().map(|s| s.weight).sum::<f32>().max(f32::MIN_POSITIVE);
-        let turned = self.surfaces.iter().filter(|s| {
-            s.normal.dot(axis).abs() < 0.12 && walls.iter().all(|wall| s.normal.dot(wall).abs() < 0.94)
-        });
+        let turned = self
+            .surfaces
+            .iter()
+            .filter(|s| s.normal.dot(axis).abs() < 0.12 && walls.iter().all(|wall| s.normal.dot(wall).abs() < 0.94));
         (turned.map(|s| s.weight).sum::<f32>() / total).min(0.3)
     }
 }

@@ -49,12 +49,7 @@ const LEVEL_SHARE: f32 = 0.03;
 const AGREEING_DEG: f32 = 25.0;
 
 /// Up of posed frames, whose poses are in the world of the files.
-pub(super) fn of_frames(
-    frames: &[FrameRef],
-    said: Said,
-    warnings: &mut Vec<String>,
-    progress: &Progress,
-) -> Result<Upright, IngestError> {
+pub(super) fn of_frames(frames: &[FrameRef], said: Said, warnings: &mut Vec<String>, progress: &Progress) -> Result<Upright, IngestError> {
     let poses: Vec<_> = frames.iter().map(|frame| frame.camera_to_world).collect();
     let cameras = cameras::up(&poses);
     let held = UpAxis::from_cameras(&poses);

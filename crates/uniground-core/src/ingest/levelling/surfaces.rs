@@ -80,11 +80,7 @@ fn of_frame(frame: &FrameRef) -> Result<Vec<Surface>, FrameError> {
             if facing > 0.15 {
                 let area = p.z * p.z / facing.max(0.3) / (camera.fx * camera.fy);
                 let pixels = (depth.width * depth.height) as f32 / (GRID * GRID) as f32;
-                surfaces.push(Surface {
-                    normal: frame.camera_to_world * normal,
-                    at: frame.camera_to_world * p,
-                    weight: area * pixels,
-                });
+                surfaces.push(Surface { normal: frame.camera_to_world * normal, at: frame.camera_to_world * p, weight: area * pixels });
             }
         }
     }

@@ -169,7 +169,9 @@ impl<'a> Buffers<'a> {
     fn uri(&self, uri: &str) -> Result<Vec<u8>, IngestError> {
         if let Some(data) = uri.strip_prefix("data:") {
             let text = data.split_once(";base64,").map(|(_, text)| text);
-            return text.and_then(base64).ok_or_else(|| IngestError::malformed(self.file, "a data address that is not base64"));
+            return text
+                .and_then(base64)
+                .ok_or_else(|| IngestError::malformed(self.file, "a data address that is not base64"));
         }
         let name = uri.replace("%20", " ");
         let path = beside(self.file, &name).ok_or_else(|| IngestError::UnsafeEntry { entry: name, reason: "points outside the upload" })?;
