@@ -41,15 +41,19 @@ impl Unpacked {
             // What a mesh names lies beside it.
             match (kind, scan.parent()) {
                 (CloudKind::Obj | CloudKind::Gltf, Some(folder)) => copy_beside(scan, folder, &path).map_err(reading)?,
-                _ => fs::copy(scan, path.join("cloud").with_extension(scan.extension().unwrap_or("ply")))
-                    .map(drop)
-                    .map_err(reading)?,
+                _ => put(scan, &path.join("cloud").with_extension(scan.extension().unwrap_or("ply"))).map_err(reading)?,
             }
         } else {
             return Err(IngestError::malformed(scan, what_it_is(scan)));
         }
         Ok(Self { path, _temporary: Some(temporary) })
     }
+}
+
+/// Points to a file, or copies it where that can not be.
+fn put(file: &Utf8Path, target: &Utf8Path) -> std::io::Result<()> {
+    let linked = file.canonicalize_utf8().and_then(|file| std::os::unix::fs::symlink(file, target));
+    linked.or_else(|_| fs::copy(file, target).map(drop))
 }
 
 /// Files that a mesh may name: its materials, buffers and pictures.

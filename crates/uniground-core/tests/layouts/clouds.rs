@@ -30,7 +30,7 @@ fn obj(points: &Points) -> Vec<u8> {
             f64::from(c[1]) / 255.0,
             f64::from(c[2]) / 255.0
         )
-        .unwrap()
+        .unwrap();
     });
     text.into_bytes()
 }

@@ -122,6 +122,9 @@ impl ParseSettings {
                 return Err(FieldError::new(format!("/settings/import/fusion{pointer}"), format!("must be {expected}")));
             }
         }
+        if self.import.metres_per_unit.is_some_and(|metres| !(1e-6..=1e6).contains(&metres)) {
+            return Err(FieldError::new("/settings/import/metres_per_unit", "must be 0.000001 to 1000000"));
+        }
         self.parsing
             .check()
             .map_err(|(pointer, expected)| FieldError::new(format!("/settings/parsing{pointer}"), format!("must be {expected}")))

@@ -1,4 +1,7 @@
-//! LAS and LAZ, by the `las` crate: surveyors' clouds, with Z up and often in map coordinates.
+//! LAS and LAZ: surveyors' clouds, with Z up and often in map coordinates. LAZ is unpacked by the `las` crate; the records of LAS are read
+//! here, five times as fast.
+
+mod records;
 
 use super::gathered::{Bounds, GREY};
 use super::{Gathered, guarded};
@@ -15,14 +18,20 @@ pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result
     guarded(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop)))
 }
 
-pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
+pub(super) fn read(root: &Utf8Path, file: &Utf8Path, gathered: Gathered) -> Result<Gathered, IngestError> {
+    match records::Records::open(root, file)? {
+        Some(records) => records.read(file, gathered),
+        None => read_compressed(root, file, gathered),
+    }
+}
+
+fn read_compressed(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
     let read = AssertUnwindSafe(move || {
         let mut reader = open(root, file, &Bounds::OWN)?;
         let header = reader.header();
         let (points, coloured) = (header.number_of_points(), header.point_format().has_color);
         gathered.expect(file, usize::try_from(points).unwrap_or(usize::MAX))?;
         gathered.coloured(coloured);
-        // Sixteen bits by the standard; many writers leave eight bits as they are. Which of them shows in the largest value.
         let mut wide: Vec<[u16; 3]> = Vec::new();
         for (row, point) in reader.points().enumerate() {
             let point = point.map_err(|e| IngestError::malformed(file, format!("point {row}: {e}")))?;
@@ -37,12 +46,17 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
             return Err(IngestError::malformed(file, format!("truncated: {} of {points} points", gathered.seen())));
         }
         if coloured {
-            let shift = if wide.iter().flatten().any(|c| *c > 255) { 8 } else { 0 };
-            gathered.recolour(wide.into_iter().map(|c| c.map(|c| (c >> shift) as u8)));
+            recolour(&mut gathered, &wide);
         }
         Ok(gathered)
     });
     guarded(file, read)
+}
+
+/// Sixteen bits by the standard; many writers leave eight bits as they are. Which of them shows in the largest value.
+fn recolour(gathered: &mut Gathered, wide: &[[u16; 3]]) {
+    let shift = if wide.iter().flatten().any(|c| *c > 255) { 8 } else { 0 };
+    gathered.recolour(wide.iter().map(|c| c.map(|c| (c >> shift) as u8)));
 }
 
 fn open(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<las::Reader, IngestError> {

@@ -78,6 +78,9 @@ impl Folder {
             if !ending(name).is_some_and(|e| CLOUDS.contains(&e.as_str())) || !path.is_file() {
                 continue;
             }
+            if is_something_else(name, &path) {
+                continue;
+            }
             // What is called PLY is meant to be one: what is wrong with it will be said.
             if ending(name).as_deref() != Some("ply") && CloudKind::of(&path).is_none() {
                 continue;
@@ -99,6 +102,19 @@ impl Folder {
             _ => shown,
         }
     }
+}
+
+/// Text files that belong to posed pictures are lines of numbers too.
+const NO_CLOUDS: [&str; 12] =
+    ["pose", "traj", "groundtruth", "intrinsic", "camera", "odometry", "rgb", "depth", "color", "label", "scene0", "_info"];
+/// Text of fewer bytes is no cloud, whatever it holds.
+const LEAST_TEXT_BYTES: u64 = 1000;
+
+fn is_something_else(name: &str, path: &Utf8Path) -> bool {
+    let is_text = ending(name).is_some_and(|e| ["txt", "csv", "asc"].contains(&e.as_str()));
+    let lower = name.to_ascii_lowercase();
+    let is_named = lower.starts_with(|c: char| c.is_ascii_digit()) || NO_CLOUDS.iter().any(|other| lower.contains(other));
+    is_text && (is_named || path.metadata().is_ok_and(|m| m.len() < LEAST_TEXT_BYTES))
 }
 
 fn ending(name: &str) -> Option<String> {
