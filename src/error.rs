@@ -186,12 +186,13 @@ impl Error {
             return "storage_busy";
         }
         match self {
-            Self::Ingest(error) => match error {
+            Self::Ingest(error) => match error.cause() {
                 IngestError::ArchiveUnreadable { .. } => "archive_unreadable",
                 IngestError::UnsafeEntry { .. } => "archive_entry_unsafe",
                 IngestError::ArchiveTooLarge { .. } => "archive_too_large",
                 IngestError::UnknownLayout { .. } => "unknown_layout",
-                IngestError::Malformed { .. } => "scene_file_malformed",
+                // Of many damaged frames the first one's cause stands for all, so the second is never met here.
+                IngestError::Malformed { .. } | IngestError::TooManyDamaged { .. } => "scene_file_malformed",
                 IngestError::MissingFile { .. } => "scene_file_missing",
                 IngestError::MissingIntrinsics { .. } => "intrinsics_missing",
                 IngestError::BadIntrinsics { .. } => "intrinsics_invalid",
@@ -201,7 +202,9 @@ impl Error {
                 IngestError::EmptyScene => "scene_empty",
                 IngestError::NoUsableFrames { .. } => "no_usable_frames",
                 IngestError::Frame(_) => "frame_unreadable",
-                IngestError::ConventionMismatch { .. } => "convention_mismatch",
+                IngestError::NothingFits { .. } => "convention_mismatch",
+                IngestError::IncompleteLayout { .. } => "layout_incomplete",
+                IngestError::UpUnknown { .. } => "up_unknown",
                 IngestError::Io { .. } => "storage_failed",
                 IngestError::Cancelled(_) => "cancelled",
             },

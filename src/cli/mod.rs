@@ -8,6 +8,7 @@ mod eval;
 mod fetching;
 mod gc;
 mod ground;
+mod import;
 mod key;
 mod models;
 mod openapi;
@@ -39,6 +40,8 @@ enum Command {
     Batch(batch::BatchArgs),
     /// Make, list and revoke the keys of callers
     Key(key::KeyArgs),
+    /// Look how a scan of any layout is read, and write it in the neutral one
+    Import(import::ImportArgs),
     /// Cut a scan into instances, without a server
     Parse(parse::ParseArgs),
     /// Score expressions with known answers
@@ -71,6 +74,7 @@ pub fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Ground(args) => asynchronous(ground::run(args)),
         Command::Batch(args) => asynchronous(batch::run(args)),
         Command::Key(args) => asynchronous(key::run(args)),
+        Command::Import(args) => import::run(args),
         Command::Parse(args) => parse::run(args),
         Command::Eval(args) => eval::run(args),
         Command::Models(args) => models::run(args),

@@ -19,7 +19,7 @@ use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
 #[derive(Debug, clap::Args)]
 pub struct ParseArgs {
-    /// A scan: a folder, an archive (.zip, .tar, .tar.zst), or a cloud (.ply)
+    /// A scan: a folder, an archive, a .sens or .r3d file, a cloud or a mesh
     scan: Utf8PathBuf,
     /// Write index.html with pictures of every step, report.json, instances.json, instances.ply and embeddings.npy here
     #[arg(long, value_name = "FOLDER")]
@@ -31,7 +31,7 @@ pub struct ParseArgs {
     #[arg(long, value_name = "FILE")]
     settings: Option<Utf8PathBuf>,
     /// The axis that points up in the scan: x, -x, y, -y, z or -z
-    #[arg(long, allow_hyphen_values = true, value_parser = parse_up)]
+    #[arg(long, allow_hyphen_values = true, value_parser = up_axis)]
     up: Option<UpAxis>,
     #[command(flatten)]
     models: ModelsConfig,
@@ -47,7 +47,7 @@ struct Report<'a> {
     parse: &'a ParseReport,
 }
 
-fn parse_up(text: &str) -> Result<UpAxis, String> {
+pub(super) fn up_axis(text: &str) -> Result<UpAxis, String> {
     UpAxis::ALL
         .into_iter()
         .find(|axis| axis.name() == text)

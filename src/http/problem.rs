@@ -118,7 +118,10 @@ fn status_of(error: &Error) -> StatusCode {
             | IngestError::EmptyScene
             | IngestError::NoUsableFrames { .. }
             | IngestError::Frame(_)
-            | IngestError::ConventionMismatch { .. } => StatusCode::UNPROCESSABLE_ENTITY,
+            | IngestError::TooManyDamaged { .. }
+            | IngestError::IncompleteLayout { .. }
+            | IngestError::UpUnknown { .. }
+            | IngestError::NothingFits { .. } => StatusCode::UNPROCESSABLE_ENTITY,
             IngestError::ArchiveTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
             IngestError::Cancelled(_) => StatusCode::CONFLICT,
             IngestError::Io { .. } => StatusCode::INTERNAL_SERVER_ERROR,

@@ -230,6 +230,8 @@ fn bare(positions: Vec<Point3<f32>>) -> SceneBundle {
     let report = ImportReport {
         format: "test".into(),
         up: uniground_core::geometry::up_axis::UpAxis::Z,
+        source_to_scene: None,
+        levelling: None,
         pose: PoseConvention::CameraToWorld,
         camera_axes: "opencv".into(),
         frames: 0,

@@ -186,21 +186,74 @@ pub enum PoseConvention {
     WorldToCamera,
 }
 
+/// From the coordinates of the files that were uploaded to the scene's (metres, Z up): `scene = rotation * (metres_per_unit * source) +
+/// translation_m`. In double precision: what lies at map coordinates keeps its place.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct SourceToScene {
+    /// Rows of a 3x3 rotation matrix.
+    pub rotation: [[f64; 3]; 3],
+    /// Metres, in the scene's axes.
+    pub translation_m: [f64; 3],
+    /// Length of one unit of the files, metres.
+    pub metres_per_unit: f64,
+}
+
+impl SourceToScene {
+    /// Files that are in the scene's own coordinates.
+    pub const IDENTITY: Self =
+        Self { rotation: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]], translation_m: [0.0; 3], metres_per_unit: 1.0 };
+
+    /// A point of the files, in their units, in the scene: metres, Z up.
+    #[must_use]
+    pub fn apply(&self, source: [f64; 3]) -> [f64; 3] {
+        let m = source.map(|c| c * self.metres_per_unit);
+        std::array::from_fn(|i| self.rotation[i].iter().zip(m).map(|(r, c)| r * c).sum::<f64>() + self.translation_m[i])
+    }
+
+    /// A point of the scene (metres, Z up) in the files' own coordinates and units.
+    #[must_use]
+    pub fn invert(&self, scene: [f64; 3]) -> [f64; 3] {
+        let d: [f64; 3] = std::array::from_fn(|i| scene[i] - self.translation_m[i]);
+        std::array::from_fn(|i| (0..3).map(|row| self.rotation[row][i] * d[row]).sum::<f64>() / self.metres_per_unit)
+    }
+}
+
+/// How level a scan's world is.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Levelling {
+    /// Angle between the axis called up in the files and what was found to be up, degrees.
+    pub tilt_deg: f32,
+    /// Whether the scene was turned by it. Worlds that are level within a few degrees stay as they are.
+    pub turned: bool,
+    /// Share of the surfaces looked at that are level or upright with it, `0..=1`.
+    pub confidence: f32,
+    /// What it was told by, a sentence.
+    pub evidence: String,
+}
+
 /// What the importer found; part of the scene's public record.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ImportReport {
-    /// Layout of the archive: `uniground-scene/1` or `color-depth-pose`.
+    /// Layout that the files were read as: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on.
     pub format: String,
-    /// The axis that pointed up in the files; the stored scene has Z up.
+    /// The axis of the files next to what is up; the stored scene has Z up. Of a tilted world `levelling` says the rest.
     pub up: UpAxis,
+    /// From the files' coordinates to the scene's; `null` in records of before it was kept.
+    #[serde(default)]
+    pub source_to_scene: Option<SourceToScene>,
+    /// How level the world of the files is, and by what that was told; `null` where nothing was there to tell by.
+    #[serde(default)]
+    pub levelling: Option<Levelling>,
     /// Which way the poses of the files were read.
     pub pose: PoseConvention,
     /// Camera axes of the files: `opencv` or `opengl`.
     pub camera_axes: String,
     /// Frames that can be used: those left out are not counted.
     pub frames: u32,
-    /// Frames left out because the tracker marked their pose as lost (infinite).
+    /// Frames left out: their pose is marked as lost (infinite), or a file of theirs is damaged or missing. The warnings name them.
     pub frames_skipped: u32,
     /// Points in the archive's own cloud; `null` when the cloud is fused from the frames.
     pub cloud_points: Option<u64>,

@@ -17,7 +17,7 @@ pub enum IngestError {
     #[error("the archive unpacks to more than {limit}")]
     ArchiveTooLarge { limit: String },
     #[error(
-        "no known scene layout: expected scene.json, or color/ depth/ pose/ and intrinsic.txt, or cloud.ply; the archive holds {found}"
+        "no known scene layout: expected scene.json, or color/ depth/ pose/ and intrinsic.txt, a scan of one of the known data sets and apps, or a cloud or mesh; the archive holds {found}"
     )]
     UnknownLayout { found: String },
     #[error("{file}: {reason}")]
@@ -43,12 +43,18 @@ pub enum IngestError {
     EmptyScene,
     #[error("no frame can be used: {reason}")]
     NoUsableFrames { reason: String },
+    #[error("{damaged} of {total} frames are damaged or incomplete, up to a tenth would be left out; the first: {first}")]
+    TooManyDamaged { damaged: usize, total: usize, first: Box<IngestError> },
+    #[error("this looks like {looks_like}, but {missing}")]
+    IncompleteLayout { looks_like: &'static str, missing: String },
+    #[error("which axis of the cloud points up can not be told ({reason}): say it, for example up=z")]
+    UpUnknown { reason: String },
     #[error(transparent)]
     Frame(#[from] FrameError),
     #[error(
-        "cloud, poses and depth do not agree: {agreement:.0}% of the sampled points fit the depth pictures as the archive describes them, but {other_agreement:.0}% do with {hypothesis}"
+        "cloud, poses and depth do not agree: only {agreement:.0}% of the sampled points fit the depth pictures, and no other reading of poses and depth fits (the best, {hypothesis}: {other_agreement:.0}%)"
     )]
-    ConventionMismatch { agreement: f32, hypothesis: String, other_agreement: f32 },
+    NothingFits { agreement: f32, hypothesis: String, other_agreement: f32 },
     #[error("{file}: {source}")]
     Io {
         file: Utf8PathBuf,
@@ -69,6 +75,15 @@ impl IngestError {
             InvalidData => Self::malformed(file, "not a text file in UTF-8"),
             IsADirectory | NotADirectory | InvalidFilename | InvalidInput => Self::malformed(file, "not the name of a file"),
             _ => Self::Io { file, source },
+        }
+    }
+
+    /// The error that a stable code is given for: of many damaged frames the first one's.
+    #[must_use]
+    pub fn cause(&self) -> &Self {
+        match self {
+            Self::TooManyDamaged { first, .. } => first.cause(),
+            other => other,
         }
     }
 

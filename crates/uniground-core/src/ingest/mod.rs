@@ -10,21 +10,26 @@ mod clouds;
 mod error;
 mod formats;
 mod fusion;
+mod lengths;
+mod levelling;
 mod load;
 mod reprojection;
 mod scan;
+mod sens;
 mod unpacked;
 mod validate;
 
 pub use error::IngestError;
-pub use load::{load, read_cloud};
+pub use load::{Inspected, inspect, load, read_cloud};
 pub use scan::Scan;
 pub use unpacked::Unpacked;
 
 use camino::Utf8Path;
 
-/// Most points of an upload's own cloud. A room at a point for every 5 mm has fewer.
+/// Most points that are kept of an upload's own cloud. A room at a point for every 5 mm has fewer; of more, every so manieth is kept.
 pub const MAX_POINTS: usize = 8_000_000;
+/// Bounds on clouds of uploads.
+const UPLOADED: clouds::Bounds = clouds::Bounds { announced: 200_000_000, kept: MAX_POINTS };
 /// Most frames of an upload: half an hour of video at 30 frames a second.
 pub const MAX_FRAMES: usize = 54_000;
 

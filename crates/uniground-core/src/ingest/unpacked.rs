@@ -2,8 +2,11 @@
 
 use super::IngestError;
 use super::archive::{ArchiveKind, UnpackLimits, unpack};
+use super::clouds::CloudKind;
+use super::sens;
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
+use std::io::Read;
 use tempfile::TempDir;
 
 /// A scan's folder. That of an archive or a bare cloud is temporary and goes with this.
@@ -15,26 +18,69 @@ pub struct Unpacked {
 }
 
 impl Unpacked {
-    /// A folder as it is; an archive (`.zip`, `.tar`, `.tar.zst`) unpacked; a cloud (`.ply`) as a scan without frames.
+    /// A folder as it is; an archive (`.zip`, `.tar`, `.tar.zst`, `.r3d`) or a `.sens` file unpacked; a cloud or a mesh as a scan without
+    /// frames.
     ///
     /// # Errors
     /// [`IngestError`]: nothing of the kind, or an archive that can not be unpacked.
     pub fn of(scan: &Utf8Path) -> Result<Self, IngestError> {
         if scan.is_dir() {
-            return Ok(Self { path: scan.to_owned(), _temporary: None });
+            let Some(sens) = sens::lone(scan)? else { return Ok(Self { path: scan.to_owned(), _temporary: None }) };
+            return Self::of(&sens);
         }
         let reading = |source| IngestError::reading(scan, source);
         let temporary = tempfile::tempdir().map_err(reading)?;
         let path = Utf8Path::from_path(temporary.path())
             .ok_or_else(|| reading(std::io::ErrorKind::InvalidFilename.into()))?
             .to_owned();
-        if scan.extension() == Some("ply") {
-            fs::copy(scan, path.join("cloud.ply")).map_err(reading)?;
-        } else if let Some(kind) = ArchiveKind::of_file_name(scan.as_str()) {
+        if let Some(kind) = ArchiveKind::of_file(scan) {
             unpack(scan, kind, &path, &UnpackLimits::default())?;
+        } else if sens::recognises(scan) {
+            sens::unpack(scan, &path, UnpackLimits::default().max_bytes)?;
+        } else if let Some(kind) = CloudKind::of(scan).or((scan.extension() == Some("ply")).then_some(CloudKind::Ply)) {
+            // What a mesh names lies beside it.
+            match (kind, scan.parent()) {
+                (CloudKind::Obj | CloudKind::Gltf, Some(folder)) => copy_beside(scan, folder, &path).map_err(reading)?,
+                _ => put(scan, &path.join("cloud").with_extension(scan.extension().unwrap_or("ply"))).map_err(reading)?,
+            }
         } else {
-            return Err(IngestError::malformed(scan, "expected a folder, .zip, .tar, .tar.zst or .ply"));
+            return Err(IngestError::malformed(scan, what_it_is(scan)));
         }
         Ok(Self { path, _temporary: Some(temporary) })
+    }
+}
+
+/// Points to a file, or copies it where that can not be.
+fn put(file: &Utf8Path, target: &Utf8Path) -> std::io::Result<()> {
+    let linked = file.canonicalize_utf8().and_then(|file| std::os::unix::fs::symlink(file, target));
+    linked.or_else(|_| fs::copy(file, target).map(drop))
+}
+
+/// Files that a mesh may name: its materials, buffers and pictures.
+const BESIDE_MESHES: [&str; 5] = ["mtl", "bin", "png", "jpg", "jpeg"];
+
+fn copy_beside(mesh: &Utf8Path, folder: &Utf8Path, target: &Utf8Path) -> std::io::Result<()> {
+    fs::copy(mesh, target.join("mesh").with_extension(mesh.extension().unwrap_or("obj")))?;
+    let folder = if folder.as_str().is_empty() { Utf8Path::new(".") } else { folder };
+    for entry in folder.read_dir_utf8()? {
+        let entry = entry?;
+        let wanted = entry.path().extension().is_some_and(|e| BESIDE_MESHES.contains(&e.to_ascii_lowercase().as_str()));
+        if wanted && entry.file_type()?.is_file() {
+            fs::copy(entry.path(), target.join(entry.file_name()))?;
+        }
+    }
+    Ok(())
+}
+
+/// A sentence for what is often tried.
+fn what_it_is(file: &Utf8Path) -> &'static str {
+    let mut head = Vec::new();
+    let _ = fs::File::open(file).and_then(|f| f.take(16).read_to_end(&mut head));
+    match &head[..] {
+        [0xff, 0xd8, ..] | [0x89, b'P', b'N', b'G', ..] => "this is a picture: a scan has many, with depth and poses",
+        [_, _, _, _, b'f', b't', b'y', b'p', ..] => "this is a video: a scan needs its frames as pictures, with depth and poses",
+        [b'#', b'R', b'O', b'S', b'B', b'A', b'G', ..] => "this is a ROS bag: export colour, depth and poses from it first",
+        [b'S', b'Q', b'L', b'i', b't', b'e', ..] => "this is a database: export RTAB-Map's with `rtabmap-export --images --poses_camera`",
+        _ => "expected a folder, an archive (.zip, .tar, .tar.zst, .r3d), a .sens file, a cloud or a mesh",
     }
 }

@@ -22,6 +22,9 @@ impl SceneBundle {
         for frame in &mut self.frames {
             frame.colour = path(&frame.colour);
             frame.depth = path(&frame.depth);
+            if let Some(confidence) = &mut frame.optics.confidence {
+                confidence.file = path(&confidence.file);
+            }
         }
         self
     }

@@ -1,9 +1,9 @@
 //! Posed RGB-D frames: references on disk and decoded pictures, one at a time.
 
-use super::{Camera, FrameIndex, Intrinsics};
+use super::{Camera, Confidence, FrameIndex, Intrinsics, Optics, depth_file};
 use crate::geometry::Isometry3;
 use camino::{Utf8Path, Utf8PathBuf};
-use image::{DynamicImage, ImageReader, Limits, RgbImage};
+use image::{DynamicImage, GrayImage, ImageReader, Limits, RgbImage};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::io;
@@ -15,16 +15,18 @@ pub struct FrameRef {
     pub index: FrameIndex,
     /// Path of the colour picture.
     pub colour: Utf8PathBuf,
-    /// Path of the depth picture, 16-bit grey.
+    /// Path of the depth picture: 16-bit grey, or compressed floats.
     pub depth: Utf8PathBuf,
     /// At the resolution of the colour picture.
     pub colour_intrinsics: Intrinsics,
-    /// At the resolution of the depth picture.
+    /// At the resolution of the depth picture; where the depth camera stands beside the colour camera, that of the picture made of it.
     pub depth_intrinsics: Intrinsics,
     /// Metres per unit of the depth image.
     pub depth_scale_m: f32,
     /// Camera-to-world, OpenCV camera axes, Z-up world, metres.
     pub camera_to_world: Isometry3<f32>,
+    /// What the files need before they are pinhole pictures.
+    pub optics: Optics,
 }
 
 /// A frame that could not be read.
@@ -112,40 +114,72 @@ impl FrameRef {
         })
     }
 
+    /// The colour picture, rectified.
+    ///
     /// # Errors
     /// [`FrameError`] naming the frame and the file.
     pub fn decode_colour(&self) -> Result<RgbImage, FrameError> {
-        let image = self.read(&self.colour)?.into_rgb8();
+        let image = self.read_picture(&self.colour)?.into_rgb8();
         self.expect_size(&self.colour, image.dimensions(), &self.colour_intrinsics)?;
-        Ok(image)
+        Ok(match &self.optics.colour_lens {
+            Some(lens) => lens.rectified(&image, &self.colour_intrinsics),
+            None => image,
+        })
     }
 
+    /// The depth picture, rectified and seen from the colour camera; what is not sure enough is left out.
+    ///
     /// # Errors
     /// [`FrameError`] naming the frame and the file.
     pub fn decode_depth(&self) -> Result<DepthImage, FrameError> {
-        let image = match self.read(&self.depth)? {
-            DynamicImage::ImageLuma16(image) => image,
-            // Eight bits would be stretched, colours mixed: neither is a depth.
-            other => {
-                let (file, found) = (self.depth.file_name_in_scene(), format!("{:?}", other.color()));
-                return Err(FrameError::NotDepth { frame: self.index, file, found });
-            }
-        };
-        self.expect_size(&self.depth, image.dimensions(), &self.depth_intrinsics)?;
-        let (width, height) = image.dimensions();
-        let depth_m = image.into_raw().into_iter().map(|unit| f32::from(unit) * self.depth_scale_m).collect();
-        Ok(DepthImage { width, height, depth_m })
+        let Optics { colour_lens: _, depth_lens, depth_sensor, confidence } = &self.optics;
+        let camera = depth_sensor.map_or(self.depth_intrinsics, |sensor| sensor.intrinsics);
+        let mut depth = depth_file::read(self, (camera.width, camera.height))?;
+        self.expect_size(&self.depth, (depth.width, depth.height), &camera)?;
+        if let Some(Confidence { file, at_least }) = confidence {
+            self.leave_out_unsure(&mut depth, file, *at_least)?;
+        }
+        if let Some(lens) = depth_lens {
+            depth = lens.rectified_depth(&depth, &camera);
+        }
+        Ok(match depth_sensor {
+            Some(sensor) => sensor.registered(&depth, &self.depth_intrinsics),
+            None => depth,
+        })
     }
 
-    fn read(&self, file: &Utf8Path) -> Result<DynamicImage, FrameError> {
-        let unreadable = |source| FrameError::Unreadable { frame: self.index, file: file.file_name_in_scene(), source };
+    fn leave_out_unsure(&self, depth: &mut DepthImage, file: &Utf8Path, at_least: u8) -> Result<(), FrameError> {
+        let unreadable = |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
+        let sure = if depth_file::is_compressed_floats(file).map_err(unreadable)? {
+            // Of the depth picture's own size.
+            let bytes = depth_file::read_compressed(file, u64::from(depth.width) * u64::from(depth.height)).map_err(unreadable)?;
+            GrayImage::from_raw(depth.width, depth.height, bytes).unwrap_or_default()
+        } else {
+            self.read_picture(file)?.into_luma8()
+        };
+        let (width, height) = sure.dimensions();
+        if width == 0 || height == 0 {
+            return Ok(());
+        }
+        for (i, z) in depth.depth_m.iter_mut().enumerate() {
+            let (u, v) = (i as u32 % depth.width, i as u32 / depth.width);
+            let scaled = |at: u32, from: u32, to: u32| (u64::from(at) * u64::from(to) / u64::from(from)) as u32;
+            if sure.get_pixel(scaled(u, depth.width, width), scaled(v, depth.height, height)).0[0] < at_least {
+                *z = 0.0;
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn read_picture(&self, file: &Utf8Path) -> Result<DynamicImage, FrameError> {
+        let unreadable = |source| FrameError::Unreadable { frame: self.index, file: in_scene(file), source };
         let mut reader = ImageReader::open(file).map_err(unreadable)?.with_guessed_format().map_err(unreadable)?;
         let mut limits = Limits::default();
         limits.max_alloc = Some(MAX_PICTURE_BYTES);
         reader.limits(limits);
         reader
             .decode()
-            .map_err(|source| FrameError::Undecodable { frame: self.index, file: file.file_name_in_scene(), source })
+            .map_err(|source| FrameError::Undecodable { frame: self.index, file: in_scene(file), source })
     }
 
     fn expect_size(&self, file: &Utf8Path, (found_width, found_height): (u32, u32), expected: &Intrinsics) -> Result<(), FrameError> {
@@ -153,24 +187,18 @@ impl FrameRef {
         if (found_width, found_height) == (width, height) {
             return Ok(());
         }
-        Err(FrameError::WrongSize { frame: self.index, file: file.file_name_in_scene(), found_width, found_height, width, height })
+        Err(FrameError::WrongSize { frame: self.index, file: in_scene(file), found_width, found_height, width, height })
     }
 }
 
 /// Memory a picture may take while it is decoded: 40 megapixels with room to spare.
 const MAX_PICTURE_BYTES: u64 = 256 << 20;
 
-trait InScene {
-    fn file_name_in_scene(&self) -> Utf8PathBuf;
-}
-
-impl InScene for Utf8Path {
-    /// The last two components: what the uploader knows the file as, without the server's own folders.
-    fn file_name_in_scene(&self) -> Utf8PathBuf {
-        let mut tail: Vec<_> = self.components().rev().take(2).collect();
-        tail.reverse();
-        tail.into_iter().collect()
-    }
+/// The last two components: what the uploader knows the file as, without the server's own folders.
+pub(super) fn in_scene(file: &Utf8Path) -> Utf8PathBuf {
+    let mut tail: Vec<_> = file.components().rev().take(2).collect();
+    tail.reverse();
+    tail.into_iter().collect()
 }
 
 impl Frame {

@@ -7,22 +7,27 @@ mod bundle;
 mod camera;
 mod cell_mask;
 mod cloud;
+mod depth_file;
 mod embeddings;
 mod export;
 mod frame;
 mod instance;
 mod npy;
+mod optics;
 mod parsed;
 
 pub use bundle::SceneBundle;
 pub use camera::{Camera, Intrinsics, Pixel};
 pub use cell_mask::CellMask;
 pub use cloud::PointCloud;
+pub use depth_file::is_compressed_floats;
 pub use embeddings::{Embeddings, Norms};
 pub use export::{id_colour, write_cloud_ply, write_instances_ply};
 pub use frame::{DepthImage, Frame, FrameError, FrameRef, stream_frames};
 pub use instance::Instance;
+pub use optics::{Confidence, DepthSensor, Lens, Optics};
 pub use parsed::ParsedScene;
 pub use uniground_types::scene::{
-    FrameIndex, ImportReport, InstanceId, Level, NameGuess, ParseReport, PoseConvention, StageReport, Structure, Support, View, ViewMask,
+    FrameIndex, ImportReport, InstanceId, Level, Levelling, NameGuess, ParseReport, PoseConvention, SourceToScene, StageReport, Structure,
+    Support, View, ViewMask,
 };

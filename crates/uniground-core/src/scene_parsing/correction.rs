@@ -263,6 +263,7 @@ mod tests {
             depth_intrinsics: depth,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::identity(),
+            optics: crate::scene::Optics::default(),
         };
         let ids = (0..64 * 48)
             .map(|i| u16::from((20..40).contains(&(i % 64)) && (10..30).contains(&(i / 64))) * 9)

@@ -59,6 +59,7 @@ mod tests {
                 depth_intrinsics: intrinsics,
                 depth_scale_m: 0.001,
                 camera_to_world: Isometry3::translation(x, 0.0, 0.0),
+                optics: crate::scene::Optics::default(),
             })
             .collect()
     }

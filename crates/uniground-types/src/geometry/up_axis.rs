@@ -77,6 +77,13 @@ impl UpAxis {
         )
     }
 
+    /// The axis next to a direction (any length but 0).
+    #[must_use]
+    pub fn nearest(direction: &Vector3<f32>) -> Self {
+        let along = |axis: &Self| axis.direction().dot(direction);
+        Self::ALL.into_iter().max_by(|a, b| along(a).total_cmp(&along(b))).unwrap_or(Self::Z)
+    }
+
     /// The axis most cameras hold upwards: people carry a camera roughly level, so image "up" (-Y of an OpenCV camera),
     /// averaged over the path, points away from the ground. `None` when no axis clearly wins.
     #[must_use]

@@ -35,6 +35,25 @@ impl FusionSettings {
     }
 }
 
+/// Whether a world that is tilted is turned level.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(rename_all = "snake_case")]
+pub enum LevellingChoice {
+    /// When floors and walls clearly show that it is tilted.
+    #[default]
+    Auto,
+    /// Never: the axis that is up in the files is up.
+    Off,
+}
+
+impl LevellingChoice {
+    // Left out of what is written, the settings of before it was there mean the same and hash the same.
+    fn is_auto(&self) -> bool {
+        *self == Self::Auto
+    }
+}
+
 /// How a scan becomes a scene; part of the parse settings, because they decide the result.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -42,6 +61,12 @@ impl FusionSettings {
 pub struct ImportSettings {
     /// The world axis that points up in the files. `null`: what the manifest says; without one, the axis the cameras hold up.
     pub up: Option<UpAxis>,
+    /// Length of one unit of the files' clouds and poses, metres. `null`: metres, unless a cloud without cameras is far too large for that.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub metres_per_unit: Option<f64>,
+    /// Whether a world that is tilted is turned level.
+    #[serde(skip_serializing_if = "LevellingChoice::is_auto")]
+    pub levelling: LevellingChoice,
     /// Used when the archive has no cloud of its own.
     pub fusion: FusionSettings,
 }

@@ -10,7 +10,7 @@ mod neural;
 mod parsing;
 mod superpoints;
 
-pub use import::{FusionSettings, ImportSettings};
+pub use import::{FusionSettings, ImportSettings, LevellingChoice};
 pub use instances::{FrameSamplingSettings, InstanceSettings, ViewSettings};
 pub use masks::{MaskOrder, RgbdSettings, SamPrompts, SamSettings};
 pub use merging::{MergeSettings, Normalisation, PartMergingSettings};
@@ -121,6 +121,9 @@ impl ParseSettings {
             if !fine {
                 return Err(FieldError::new(format!("/settings/import/fusion{pointer}"), format!("must be {expected}")));
             }
+        }
+        if self.import.metres_per_unit.is_some_and(|metres| !(1e-6..=1e6).contains(&metres)) {
+            return Err(FieldError::new("/settings/import/metres_per_unit", "must be 0.000001 to 1000000"));
         }
         self.parsing
             .check()

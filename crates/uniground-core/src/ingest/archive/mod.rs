@@ -3,10 +3,12 @@
 mod entries;
 mod sink;
 
-use super::IngestError;
+use super::{IngestError, sens};
 use camino::Utf8Path;
 use entries::walk;
 use sink::{Sink, Survey};
+use std::fs::File;
+use std::io::Read;
 
 /// Container of an upload, as declared by its content type.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,9 +37,24 @@ impl ArchiveKind {
     #[must_use]
     pub fn of_file_name(name: &str) -> Option<Self> {
         let name = name.to_ascii_lowercase();
-        [(".zip", Self::Zip), (".tar", Self::Tar), (".tar.zst", Self::TarZst), (".tzst", Self::TarZst)]
+        [(".zip", Self::Zip), (".r3d", Self::Zip), (".tar", Self::Tar), (".tar.zst", Self::TarZst), (".tzst", Self::TarZst)]
             .into_iter()
             .find_map(|(ending, kind)| name.ends_with(ending).then_some(kind))
+    }
+
+    /// By name, or by what a file begins with.
+    #[must_use]
+    pub fn of_file(file: &Utf8Path) -> Option<Self> {
+        Self::of_file_name(file.as_str()).or_else(|| {
+            let mut head = Vec::new();
+            File::open(file).ok()?.take(512).read_to_end(&mut head).ok()?;
+            match &head[..] {
+                [b'P', b'K', 3, 4, ..] | [b'P', b'K', 5, 6, ..] => Some(Self::Zip),
+                [0x28, 0xb5, 0x2f, 0xfd, ..] => Some(Self::TarZst),
+                head if head.get(257..262) == Some(b"ustar") => Some(Self::Tar),
+                _ => None,
+            }
+        })
     }
 
     /// Its content type in an upload; [`of_media_type`](Self::of_media_type) knows other spellings too.
@@ -108,7 +125,12 @@ impl UnpackLimits {
 /// [`IngestError`] naming the entry; `target` may then hold a part and is the caller's to remove.
 pub fn unpack(archive: &Utf8Path, kind: ArchiveKind, target: &Utf8Path, limits: &UnpackLimits) -> Result<(), IngestError> {
     walk(archive, kind, limits, false, &mut Survey::new(limits))?;
-    walk(archive, kind, limits, true, &mut Sink::new(target))
+    walk(archive, kind, limits, true, &mut Sink::new(target))?;
+    // ScanNet's own container: its frames become files beside it, within the same bounds.
+    match sens::lone(target)? {
+        Some(file) => sens::unpack(&file, file.parent().unwrap_or(target), limits.max_bytes).map(drop),
+        None => Ok(()),
+    }
 }
 
 #[cfg(test)]

@@ -5,25 +5,15 @@
 
 mod rows;
 
-use crate::geometry::{MAX_COORDINATE_M, Point3};
+use super::Gathered;
+use super::gathered::{Bounds, GREY};
 use crate::ingest::IngestError;
-use crate::scene::PointCloud;
 use camino::Utf8Path;
 use ply_rs_bw::parser::{Parser, Reader};
-use ply_rs_bw::ply::{DefaultElement, ElementDef, Header, ScalarType};
+use ply_rs_bw::ply::{DefaultElement, ElementDef, Header, PropertyType, ScalarType};
 use rows::Rows;
 use std::fs::File;
 use std::io::{self, BufRead, BufReader, Read};
-
-/// A cloud and how many of its points were dropped for coordinates that are not finite.
-#[derive(Debug)]
-pub struct Loaded {
-    pub cloud: PointCloud,
-    pub dropped: usize,
-    /// Points whose colour is not a number and was taken as grey.
-    pub without_colour: usize,
-    pub has_colour: bool,
-}
 
 const MAX_HEADER_BYTES: usize = 64 << 10;
 /// Properties of all elements together.
@@ -33,45 +23,39 @@ const MAX_PROPERTIES: usize = 256;
 ///
 /// # Errors
 /// [`IngestError`] naming `file` (a path below `root`).
-pub fn check(root: &Utf8Path, file: &Utf8Path, max_points: usize) -> Result<(), IngestError> {
-    open(root, file, max_points).map(drop)
+pub fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+    let (header, _) = open(root, file)?;
+    bounds.check(file, header.elements.get("vertex").map_or(0, |vertex| vertex.count as u64))
 }
 
-/// Reads a PLY file of at most so many points. Points without colour come out mid-grey.
+/// Reads the vertices of a PLY file. Those without colour come out mid-grey.
 ///
 /// # Errors
 /// [`IngestError`] naming `file` (a path below `root`).
-pub fn read(root: &Utf8Path, file: &Utf8Path, max_points: usize) -> Result<Loaded, IngestError> {
+pub fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
-    let (header, mut source) = open(root, file, max_points)?;
-    let mut loaded = Loaded { cloud: PointCloud::default(), dropped: 0, without_colour: 0, has_colour: false };
+    let (header, mut source) = open(root, file)?;
     for element in header.elements.values() {
         let rows = Rows::of(element, &header.encoding);
         if element.name != "vertex" {
             rows.skip(&mut source, element.count).map_err(|e| malformed(format!("{}: {e}", element.name)))?;
             continue;
         }
-        loaded.has_colour = ["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c));
-        loaded.cloud.positions.reserve_exact(element.count);
-        loaded.cloud.colours.reserve_exact(element.count);
-        rows.read(&mut source, element.count, &mut loaded).map_err(malformed)?;
+        gathered.coloured(["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)));
+        let in_doubles =
+            |axis: &&str| matches!(element.properties.get(*axis), Some(p) if p.data_type == PropertyType::Scalar(ScalarType::Double));
+        if !["x", "y", "z"].iter().any(in_doubles) {
+            gathered.single_precision();
+        }
+        gathered.expect(file, element.count)?;
+        rows.read(&mut source, element.count, &mut gathered).map_err(malformed)?;
         break;
     }
-    let far = |p: &&Point3<f32>| p.iter().any(|c| c.abs() > MAX_COORDINATE_M);
-    if let Some(p) = loaded.cloud.positions.iter().find(far) {
-        return Err(malformed(format!(
-            "the point ({}, {}, {}) lies more than 10 km from the origin: take an offset off the whole scan first",
-            p.x, p.y, p.z
-        )));
-    }
-    if loaded.cloud.is_empty() {
-        return Err(IngestError::EmptyCloud { file: file.to_owned() });
-    }
-    Ok(loaded)
+    Ok(gathered)
 }
 
 /// The header, looked at, and the file where its rows begin.
-fn open(root: &Utf8Path, file: &Utf8Path, max_points: usize) -> Result<(Header, BufReader<File>), IngestError> {
+fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Header, BufReader<File>), IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let source = File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
     let bytes = source.metadata().map_or(u64::MAX, |m| m.len());
@@ -89,12 +73,6 @@ fn open(root: &Utf8Path, file: &Utf8Path, max_points: usize) -> Result<(Header, 
         if !vertex.properties.contains_key(axis) {
             return Err(malformed(format!("its vertices have no property {axis}")));
         }
-    }
-    if vertex.count > max_points {
-        return Err(malformed(format!(
-            "it announces {} points, {max_points} are read at most: thin it out first, a point for every 5 mm is plenty",
-            vertex.count
-        )));
     }
     // Even the tersest row takes three bytes: a count that can not be there is a lie, not a reason to allocate.
     if vertex.count as u64 > bytes / 3 {
@@ -126,28 +104,22 @@ fn header_text(source: &mut impl BufRead) -> io::Result<Vec<u8>> {
     }
 }
 
-impl Loaded {
-    fn push(&mut self, vertex: &Vertex) {
-        let [x, y, z] = vertex.position;
-        if !(x.is_finite() && y.is_finite() && z.is_finite()) {
-            self.dropped += 1;
-            return;
+impl Vertex {
+    fn hand_to(&self, gathered: &mut Gathered) {
+        match self.nan_colour {
+            false => gathered.push(self.position, self.colour),
+            true => gathered.push_discoloured(self.position, self.colour),
         }
-        self.without_colour += usize::from(vertex.nan_colour);
-        self.cloud.positions.push(Point3::new(x, y, z));
-        self.cloud.colours.push(vertex.colour);
     }
 }
 
 /// One vertex; what is not said stays mid-grey.
 struct Vertex {
-    position: [f32; 3],
+    position: [f64; 3],
     colour: [u8; 3],
     /// Whether a colour channel was NaN.
     nan_colour: bool,
 }
-
-const GREY: u8 = 128;
 
 /// A property that matters.
 #[derive(Clone, Copy)]
@@ -167,13 +139,13 @@ impl Field {
 
 impl Vertex {
     fn new() -> Self {
-        Self { position: [f32::NAN; 3], colour: [GREY; 3], nan_colour: false }
+        Self { position: [f64::NAN; 3], colour: GREY, nan_colour: false }
     }
 
     /// Bytes of a channel are taken as they are, 16 bits by 1/257, floats from `0..=1`.
     fn set(&mut self, field: Field, value: f64, scalar: &ScalarType) {
         match field {
-            Field::Coordinate(axis) => self.position[axis] = value as f32,
+            Field::Coordinate(axis) => self.position[axis] = value,
             Field::Channel(_) if value.is_nan() => self.nan_colour = true,
             Field::Channel(channel) => {
                 let scale = match scalar {
@@ -191,13 +163,15 @@ impl Vertex {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::Point3;
+    use crate::ingest::clouds::{self, Loaded, Origin};
     use proptest::prelude::*;
 
     fn read_bytes(bytes: &[u8]) -> Result<Loaded, IngestError> {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("cloud.ply"), bytes).unwrap();
-        read(root, Utf8Path::new("cloud.ply"), 1 << 30)
+        clouds::read(root, Utf8Path::new("cloud.ply"), &Bounds { announced: 1 << 30, kept: 1 << 30 }, Origin::Free)
     }
 
     fn header(encoding: &str, count: usize, properties: &str) -> Vec<u8> {
@@ -314,7 +288,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let root = Utf8Path::from_path(folder.path()).unwrap();
         std::fs::write(root.join("cloud.ply"), header("binary_little_endian", 9, XYZ_RGB)).unwrap();
-        let message = check(root, Utf8Path::new("cloud.ply"), 8).unwrap_err().to_string();
+        let message = check(root, Utf8Path::new("cloud.ply"), &Bounds { announced: 8, kept: 8 }).unwrap_err().to_string();
         assert!(message.contains("announces 9 points"), "{message}");
     }
 

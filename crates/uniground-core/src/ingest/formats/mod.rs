@@ -1,28 +1,84 @@
-//! Dataset layouts. Each file knows one layout and describes it as a [`Scan`]; nothing is decoded here.
+//! Layouts of scans. Each file knows one and describes it as a [`Scan`]; nothing is decoded here. They are recognised by which files are
+//! there, the most particular first; what is recognised and incomplete is refused with what it looks like and what is missing.
 
+mod arkit_scenes;
+mod colmap;
 mod color_depth_pose;
+mod files;
+mod intrinsics;
+mod lone_cloud;
+mod nerfstudio;
 mod neutral;
+mod numbers;
+mod open3d_log;
+mod pairing;
+mod polycam;
+mod record3d;
+mod replica;
+mod rtabmap;
+mod scanner_app;
+mod scannet;
+mod seven_scenes;
+mod stray_scanner;
+mod task_folder;
+mod trajectory;
+mod tum;
 
-use super::bounded::read_text;
 use super::scan::Scan;
 use super::{IngestError, MAX_FRAMES};
-use crate::geometry::Matrix4;
 use camino::{Utf8Path, Utf8PathBuf};
-use std::fs;
+use files::Folder;
+
+/// One way to lay out a scan.
+struct Layout {
+    recognises: fn(&Folder) -> bool,
+    read: fn(&Folder) -> Result<Scan, IngestError>,
+}
+
+/// In the order they are tried.
+const LAYOUTS: [Layout; 18] = [
+    Layout { recognises: neutral::recognises, read: neutral::read },
+    Layout { recognises: nerfstudio::recognises, read: nerfstudio::read },
+    Layout { recognises: polycam::recognises, read: polycam::read },
+    Layout { recognises: record3d::recognises, read: record3d::read },
+    Layout { recognises: arkit_scenes::recognises, read: arkit_scenes::read },
+    Layout { recognises: stray_scanner::recognises, read: stray_scanner::read },
+    Layout { recognises: tum::recognises, read: tum::read },
+    Layout { recognises: replica::recognises, read: replica::read },
+    Layout { recognises: scanner_app::recognises, read: scanner_app::read },
+    Layout { recognises: seven_scenes::recognises, read: seven_scenes::read },
+    Layout { recognises: task_folder::recognises, read: task_folder::read },
+    Layout { recognises: scannet::recognises, read: scannet::read },
+    Layout { recognises: open3d_log::recognises, read: open3d_log::read },
+    Layout { recognises: rtabmap::recognises, read: rtabmap::read },
+    Layout { recognises: color_depth_pose::recognises_posed, read: color_depth_pose::read },
+    Layout { recognises: colmap::recognises, read: colmap::read },
+    Layout { recognises: lone_cloud::recognises, read: lone_cloud::read },
+    Layout { recognises: color_depth_pose::recognises, read: color_depth_pose::read },
+];
+
+/// Folders one in another that an archive is stepped into.
+const MAX_STEPS: usize = 6;
 
 /// Reads the layout below `folder` without checking it.
 ///
 /// # Errors
 /// [`IngestError`] naming the file, or what the folder holds instead of a scan.
 pub(super) fn read(folder: &Utf8Path) -> Result<Scan, IngestError> {
-    let root = scene_root(folder)?;
-    if root.join("scene.json").is_file() {
-        neutral::read(&root)
-    } else if color_depth_pose::recognises(&root) {
-        color_depth_pose::read(&root)
-    } else {
-        Err(IngestError::UnknownLayout { found: describe(&root)? })
+    let mut folder = Folder::open(folder)?;
+    for _ in 0..MAX_STEPS {
+        if let Some(layout) = LAYOUTS.iter().find(|layout| (layout.recognises)(&folder)) {
+            let scan = (layout.read)(&folder)?;
+            check_frames(scan.format, scan.frames.len())?;
+            return Ok(scan);
+        }
+        // Archives are often made of one folder: step into it.
+        match folder.only_folder() {
+            Some(inner) => folder = Folder::open(&folder.root.join(inner))?,
+            None => break,
+        }
     }
+    Err(IngestError::UnknownLayout { found: folder.describe() })
 }
 
 /// Refuses a scan of more frames than are read.
@@ -33,58 +89,12 @@ fn check_frames(file: &str, frames: usize) -> Result<(), IngestError> {
     }
 }
 
-/// Archives are often made of one folder: step into it. Files that operating systems leave behind are not looked at.
-fn scene_root(folder: &Utf8Path) -> Result<Utf8PathBuf, IngestError> {
-    match &entries(folder)?[..] {
-        [only] if folder.join(only).is_dir() => Ok(folder.join(only)),
-        _ => Ok(folder.to_owned()),
-    }
+/// What is recognised and lacks something.
+fn incomplete(looks_like: &'static str, missing: impl Into<String>) -> IngestError {
+    IngestError::IncompleteLayout { looks_like, missing: missing.into() }
 }
 
-fn describe(root: &Utf8Path) -> Result<String, IngestError> {
-    let names = entries(root)?;
-    let shown = names.iter().take(8).cloned().collect::<Vec<_>>().join(", ");
-    Ok(match names.len() {
-        0 => "nothing".into(),
-        n if n > 8 => format!("{shown} and {} more", n - 8),
-        _ => shown,
-    })
-}
-
-/// Names in a folder, sorted, without hidden files and `__MACOSX`.
-fn entries(folder: &Utf8Path) -> Result<Vec<String>, IngestError> {
-    let io = |source| IngestError::Io { file: folder.file_name().unwrap_or("archive").into(), source };
-    let mut names = Vec::new();
-    for entry in fs::read_dir(folder).map_err(io)? {
-        let name = entry.map_err(io)?.file_name().to_string_lossy().into_owned();
-        if !name.starts_with('.') && name != "__MACOSX" {
-            names.push(name);
-        }
-    }
-    names.sort();
-    Ok(names)
-}
-
-/// A matrix of 16 numbers is far shorter.
-const MAX_MATRIX_BYTES: u64 = 16 << 10;
-
-/// Reads a file of whitespace-separated numbers.
-fn read_numbers(root: &Utf8Path, file: &Utf8Path) -> Result<Vec<f32>, IngestError> {
-    let text = read_text(root, file, MAX_MATRIX_BYTES)?;
-    text.split_whitespace()
-        .map(|word| {
-            word.trim_end_matches(',')
-                .parse()
-                .map_err(|_| IngestError::malformed(file, format!("{word:?} is not a number")))
-        })
-        .collect()
-}
-
-/// Reads a row-major 4x4 pose.
-fn read_pose(root: &Utf8Path, file: &Utf8Path) -> Result<Matrix4<f32>, IngestError> {
-    let values = read_numbers(root, file)?;
-    match values.len() {
-        16 => Ok(Matrix4::from_row_slice(&values)),
-        n => Err(IngestError::malformed(file, format!("a pose has 16 numbers (4x4), this file has {n}"))),
-    }
+/// A path in a list of frames: a file, or one of the lines or entries of a file.
+fn entry(file: &Utf8Path, entry: impl std::fmt::Display) -> Utf8PathBuf {
+    format!("{file}, {entry}").into()
 }

@@ -7,7 +7,7 @@ mod volume;
 
 use super::IngestError;
 use crate::progress::Progress;
-use crate::scene::{FrameRef, PointCloud, stream_frames};
+use crate::scene::{FrameError, FrameIndex, FrameRef, PointCloud, stream_frames};
 use look::Look;
 use uniground_types::settings::FusionSettings;
 use volume::{Full, Volume};
@@ -16,19 +16,21 @@ use volume::{Full, Volume};
 const COARSER: f32 = 1.5;
 
 /// Fuses all frames, Z-up world, metres. Frames are folded in one by one in order, so the result does not depend on threads; one frame per
-/// thread and the volume (at most 2 GB) are in memory.
+/// thread and the volume (at most 2 GB) are in memory. The few that can not be decoded are taken out of `frames`, with a warning.
 ///
 /// # Errors
 /// [`IngestError`] for unreadable frames, cancellation, or frames that hold no depth at all.
 pub fn fuse(
-    frames: &[FrameRef],
+    frames: &mut Vec<FrameRef>,
     settings: &FusionSettings,
     warnings: &mut Vec<String>,
     progress: &Progress,
 ) -> Result<PointCloud, IngestError> {
     let mut settings = *settings;
     loop {
-        if let Some(cloud) = fused(frames, &settings, volume::MAX_BLOCKS, progress)? {
+        let mut damaged = Vec::new();
+        if let Some(cloud) = fused(frames, &settings, volume::MAX_BLOCKS, &mut damaged, progress)? {
+            leave_out(frames, damaged, warnings)?;
             return match cloud.is_empty() {
                 true => Err(IngestError::NoUsableFrames { reason: "no depth picture holds a measurement that others confirm".into() }),
                 false => Ok(cloud),
@@ -44,17 +46,20 @@ fn fused(
     frames: &[FrameRef],
     settings: &FusionSettings,
     most_blocks: usize,
+    damaged: &mut Vec<(FrameIndex, FrameError)>,
     progress: &Progress,
 ) -> Result<Option<PointCloud>, IngestError> {
     let mut volume = Volume::new(settings, most_blocks);
     let mut full = false;
     stream_frames(
         frames,
-        |frame| Ok::<_, IngestError>(Look::of(&frame.decode()?, settings)),
+        |frame| Ok::<_, IngestError>(frame.decode().map(|frame| Look::of(&frame, settings))),
         |i, look| {
             progress.report("fuse_cloud", i as f32 / frames.len() as f32)?;
-            if !full {
-                full = volume.integrate(&look) == Err(Full);
+            match look {
+                Ok(look) if !full => full = volume.integrate(&look) == Err(Full),
+                Ok(_) => {}
+                Err(error) => damaged.push((frames[i].index, error)),
             }
             Ok(())
         },
@@ -62,11 +67,26 @@ fn fused(
     Ok((!full).then(|| volume.surface()))
 }
 
+/// A tenth of the frames may be damaged; the first few are named.
+fn leave_out(frames: &mut Vec<FrameRef>, damaged: Vec<(FrameIndex, FrameError)>, warnings: &mut Vec<String>) -> Result<(), IngestError> {
+    const MAX_NAMED: usize = 5;
+    let (count, total) = (damaged.len(), frames.len());
+    if count * 10 > total {
+        return Err(damaged.into_iter().next().map_or(IngestError::EmptyScene, |(_, error)| error.into()));
+    }
+    if count > 0 {
+        let named: Vec<String> = damaged.iter().take(MAX_NAMED).map(|(_, error)| error.to_string()).collect();
+        warnings.push(format!("{count} of {total} frames skipped, they can not be decoded: {}", named.join("; ")));
+        frames.retain(|frame| damaged.iter().all(|(index, _)| *index != frame.index));
+    }
+    Ok(())
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::geometry::Isometry3;
-    use crate::scene::{FrameIndex, Intrinsics};
+    use crate::scene::Intrinsics;
     use camino::Utf8Path;
     use image::{ImageBuffer, Luma, RgbImage};
     use nalgebra::{Translation3, UnitQuaternion, Vector3};
@@ -91,6 +111,7 @@ mod tests {
             depth_intrinsics: intrinsics,
             depth_scale_m: 0.001,
             camera_to_world: Isometry3::from_parts(Translation3::from(at), turn),
+            optics: crate::scene::Optics::default(),
         }
     }
 
@@ -102,16 +123,16 @@ mod tests {
     fn noise_along_the_view_is_averaged_away() {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
-        let frames: Vec<_> = (0..12)
+        let mut frames: Vec<_> = (0..12)
             .map(|i| frame(folder, i, Vector3::new(i as f32 * 0.05, 0.0, 0.0), 40, |_, _| 2000))
             .collect();
-        let cloud = fuse(&frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
+        let cloud = fuse(&mut frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
         assert!(cloud.len() > 1000, "{} points", cloud.len());
         let off = |p: &crate::geometry::Point3<f32>| (p.y - 2.0).abs();
         let mean = cloud.positions.iter().map(off).sum::<f32>() / cloud.len() as f32;
         assert!(mean < 0.01, "{mean} m from the wall on average, each measurement 0.02");
         assert!(cloud.colours.iter().all(|c| *c == [10, 200, 30]));
-        let again = fuse(&frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
+        let again = fuse(&mut frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
         assert_eq!(cloud, again);
     }
 
@@ -121,10 +142,10 @@ mod tests {
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         // Somebody walks through one of eight pictures, a metre before the wall.
         let blob = |u: u32, v: u32| if (20..44).contains(&u) && (20..44).contains(&v) { 1000 } else { 2000 };
-        let frames: Vec<_> = (0..8)
+        let mut frames: Vec<_> = (0..8)
             .map(|i| frame(folder, i, Vector3::zeros(), 5, |u, v| if i == 3 { blob(u, v) } else { 2000 }))
             .collect();
-        let cloud = fuse(&frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
+        let cloud = fuse(&mut frames, &settings(), &mut Vec::new(), &Progress::silent()).unwrap();
         assert!(cloud.positions.iter().all(|p| p.y > 1.5), "what stood there once is gone");
     }
 
@@ -133,7 +154,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(folder.path()).unwrap();
         let frames = [frame(folder, 0, Vector3::zeros(), 5, |_, _| 2000)];
-        assert!(fused(&frames, &settings(), 10, &Progress::silent()).unwrap().is_none());
-        assert!(fused(&frames, &settings(), 10_000, &Progress::silent()).unwrap().is_some());
+        assert!(fused(&frames, &settings(), 10, &mut Vec::new(), &Progress::silent()).unwrap().is_none());
+        assert!(fused(&frames, &settings(), 10_000, &mut Vec::new(), &Progress::silent()).unwrap().is_some());
     }
 }

@@ -1,7 +1,8 @@
 //! Rows of an element: of one size or with lists, in binary or ascii, one block or line at a time.
 
-use super::{Field, Loaded, Vertex};
+use super::{Field, Vertex};
 use crate::ingest::bounded::read_line;
+use crate::ingest::clouds::Gathered;
 use ply_rs_bw::ply::{ElementDef, Encoding, PropertyType, ScalarType};
 use std::io::{self, BufRead, Read};
 
@@ -56,20 +57,20 @@ impl Rows {
         }
     }
 
-    pub fn read(&self, source: &mut impl BufRead, count: usize, loaded: &mut Loaded) -> Result<(), String> {
+    pub fn read(&self, source: &mut impl BufRead, count: usize, gathered: &mut Gathered) -> Result<(), String> {
         match (self.number, self.bytes) {
-            (Some(number), Some(bytes)) => self.read_even(source, count, bytes, number, loaded),
+            (Some(number), Some(bytes)) => self.read_even(source, count, bytes, number, gathered),
             (Some(number), None) => (0..count).try_for_each(|_| {
                 let mut vertex = Vertex::new();
                 self.read_uneven(source, number, &mut vertex)?;
-                loaded.push(&vertex);
+                vertex.hand_to(gathered);
                 Ok(())
             }),
-            (None, _) => self.read_ascii(source, count, loaded),
+            (None, _) => self.read_ascii(source, count, gathered),
         }
     }
 
-    fn read_ascii(&self, source: &mut impl BufRead, count: usize, loaded: &mut Loaded) -> Result<(), String> {
+    fn read_ascii(&self, source: &mut impl BufRead, count: usize, gathered: &mut Gathered) -> Result<(), String> {
         let mut line = Vec::new();
         for row in 0..count {
             next_line(source, &mut line, row, count)?;
@@ -94,7 +95,7 @@ impl Rows {
                     }
                 }
             }
-            loaded.push(&vertex);
+            vertex.hand_to(gathered);
         }
         Ok(())
     }
@@ -106,7 +107,7 @@ impl Rows {
         count: usize,
         bytes: usize,
         number: fn(&[u8], &ScalarType) -> f64,
-        loaded: &mut Loaded,
+        gathered: &mut Gathered,
     ) -> Result<(), String> {
         let mut fields = Vec::new();
         let mut offset = 0;
@@ -128,7 +129,7 @@ impl Rows {
                 for &(field, offset, scalar) in &fields {
                     vertex.set(field, number(&row[offset..], scalar), scalar);
                 }
-                loaded.push(&vertex);
+                vertex.hand_to(gathered);
             }
             left -= rows;
         }

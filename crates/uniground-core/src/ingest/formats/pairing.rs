@@ -1,0 +1,148 @@
+//! Which pictures and poses belong together: by name, by number or by time.
+
+use camino::{Utf8Path, Utf8PathBuf};
+use std::collections::BTreeMap;
+
+/// Pictures of one moment are at most this far apart, seconds.
+pub(super) const SAME_MOMENT_S: f64 = 0.02;
+/// What names say of a file's part and not of its moment.
+const ROLES: [&str; 10] = ["color", "colour", "rgb", "depth", "pose", "image", "img", "conf", "confidence", "cam"];
+
+/// Sorts `10` after `9`: the number first, then the name.
+pub(super) fn natural(file: &Utf8Path) -> (Option<u64>, String) {
+    let stem = file.file_stem().unwrap_or_default();
+    let digits: String = stem.chars().filter(char::is_ascii_digit).collect();
+    (digits.parse().ok(), stem.to_owned())
+}
+
+/// The last number of a name.
+pub(super) fn number(file: &Utf8Path) -> Option<u64> {
+    let stem = file.file_stem()?;
+    let end = stem.rfind(|c: char| c.is_ascii_digit())? + 1;
+    let start = stem[..end].rfind(|c: char| !c.is_ascii_digit()).map_or(0, |at| at + 1);
+    stem[start..end].parse().ok()
+}
+
+/// The time in a name, seconds: `1305031102.175304`, or nanoseconds, microseconds, milliseconds since 1970.
+pub(super) fn seconds(file: &Utf8Path) -> Option<f64> {
+    let stem = file.file_stem()?;
+    let text = stem.trim_matches(|c: char| !c.is_ascii_digit());
+    let text = text.rsplit(['_', '-']).next()?;
+    let value: f64 = text.parse().ok()?;
+    Some(match value {
+        v if v > 1e17 => v * 1e-9,
+        v if v > 1e14 => v * 1e-6,
+        v if v > 1e11 => v * 1e-3,
+        v => v,
+    })
+}
+
+/// The name without what says which part it is.
+fn moment(file: &Utf8Path) -> String {
+    let mut stem = file.file_stem().unwrap_or_default().to_ascii_lowercase();
+    for role in ROLES {
+        stem = stem.replace(role, "");
+    }
+    stem.trim_matches(|c: char| !c.is_alphanumeric()).to_owned()
+}
+
+/// For each of the first, its partner among the second: by name, number or time, whichever finds most.
+pub(super) fn partners(first: &[Utf8PathBuf], second: &[Utf8PathBuf]) -> Vec<Option<usize>> {
+    let by_name = same(first, second, |file| Some(moment(file)).filter(|m| !m.is_empty()));
+    let by_number = same(first, second, number);
+    let times = |files: &[Utf8PathBuf]| -> Vec<Option<f64>> { files.iter().map(|f| seconds(f)).collect() };
+    let by_time = nearest(&times(first), &times(second), SAME_MOMENT_S);
+    let found = |pairs: &Vec<Option<usize>>| pairs.iter().flatten().count();
+    let mut best = by_name;
+    for other in [by_number, by_time] {
+        if found(&other) > found(&best) {
+            best = other;
+        }
+    }
+    best
+}
+
+fn same<K: Ord>(first: &[Utf8PathBuf], second: &[Utf8PathBuf], key: impl Fn(&Utf8Path) -> Option<K>) -> Vec<Option<usize>> {
+    let mut at: BTreeMap<K, Option<usize>> = BTreeMap::new();
+    for (i, file) in second.iter().enumerate() {
+        if let Some(key) = key(file) {
+            // A name that two have is nobody's.
+            at.entry(key).and_modify(|only| *only = None).or_insert(Some(i));
+        }
+    }
+    let mut taken = vec![false; second.len()];
+    let mut partner = |file: &Utf8PathBuf| {
+        let partner = at.get(&key(file)?).copied().flatten()?;
+        (!std::mem::replace(&mut taken[partner], true)).then_some(partner)
+    };
+    first.iter().map(&mut partner).collect()
+}
+
+/// For each of the first times the nearest of the second within reach, nobody twice.
+pub(super) fn nearest(first: &[Option<f64>], second: &[Option<f64>], within_s: f64) -> Vec<Option<usize>> {
+    let mut order: Vec<(f64, usize)> = second.iter().enumerate().filter_map(|(i, t)| Some((t.filter(|t| t.is_finite())?, i))).collect();
+    order.sort_by(|a, b| a.0.total_cmp(&b.0));
+    // The closest pairs first, as the authors of TUM's benchmark associate.
+    let mut pairs: Vec<(f64, usize, usize)> = Vec::new();
+    for (i, time) in first.iter().enumerate() {
+        let Some(time) = time.filter(|t| t.is_finite()) else { continue };
+        let after = order.partition_point(|(t, _)| *t < time);
+        for (other, j) in &order[after.saturating_sub(2)..(after + 2).min(order.len())] {
+            if (other - time).abs() <= within_s {
+                pairs.push(((other - time).abs(), i, *j));
+            }
+        }
+    }
+    pairs.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)).then(a.2.cmp(&b.2)));
+    let (mut found, mut taken) = (vec![None; first.len()], vec![false; second.len()]);
+    for (_, i, j) in pairs {
+        if found[i].is_none() && !taken[j] {
+            found[i] = Some(j);
+            taken[j] = true;
+        }
+    }
+    found
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn paths(names: &[&str]) -> Vec<Utf8PathBuf> {
+        names.iter().map(Utf8PathBuf::from).collect()
+    }
+
+    #[test]
+    fn names_numbers_and_times_find_their_partners() {
+        for (first, second, expected) in [
+            (["color/1.jpg", "color/10.jpg"], ["depth/10.png", "depth/1.png"], [Some(1), Some(0)]),
+            (
+                ["c/frame-000001.color.jpg", "c/frame-000002.color.jpg"],
+                ["c/frame-000001.depth.pgm", "c/frame-000003.depth.pgm"],
+                [Some(0), None],
+            ),
+            (["rgb/img_7.png", "rgb/img_8.png"], ["depth/0007.png", "depth/0008.png"], [Some(0), Some(1)]),
+            (["rgb/100.010.png", "rgb/100.045.png"], ["depth/100.020.png", "depth/100.100.png"], [Some(0), None]),
+            (["rgb/1600000000010000000.png", "rgb/a.png"], ["depth/1600000000.012.png", "depth/b.png"], [Some(0), None]),
+        ] {
+            assert_eq!(partners(&paths(&first), &paths(&second)), expected, "{first:?} {second:?}");
+        }
+    }
+
+    proptest! {
+        #[test]
+        fn nobody_has_two_partners(a in prop::collection::vec(0.0_f64..3.0, 0..30), b in prop::collection::vec(0.0_f64..3.0, 0..30)) {
+            let some = |times: &[f64]| times.iter().copied().map(Some).collect::<Vec<_>>();
+            let found = nearest(&some(&a), &some(&b), 0.1);
+            let mut partners: Vec<usize> = found.iter().flatten().copied().collect();
+            partners.sort_unstable();
+            let all = partners.len();
+            partners.dedup();
+            prop_assert_eq!(partners.len(), all);
+            for (i, partner) in found.iter().enumerate() {
+                prop_assert!(partner.is_none_or(|j| (a[i] - b[j]).abs() <= 0.1));
+            }
+        }
+    }
+}

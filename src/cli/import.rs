@@ -1,0 +1,148 @@
+//! `uniground import`: looks at a scan of any layout, says how it is read, and writes it down in the neutral one.
+
+mod archive;
+mod page;
+
+use anyhow::{Context, ensure};
+use camino::{Utf8Path, Utf8PathBuf};
+use std::fs;
+use std::io::{self, Write};
+use std::time::Instant;
+use uniground_core::geometry::boxes::Aabb;
+use uniground_core::ingest::{self, Inspected, Unpacked};
+use uniground_core::progress::Progress;
+use uniground_core::render::{Orbit, ROOM_VIEW, RenderScene, jpeg, scene_picture};
+use uniground_core::scene::{FrameRef, ImportReport, PointCloud};
+use uniground_types::geometry::up_axis::UpAxis;
+use uniground_types::settings::{ImportSettings, LevellingChoice};
+
+#[derive(Debug, clap::Args)]
+pub struct ImportArgs {
+    /// A scan: a folder, an archive, a .sens or .r3d file, a cloud or a mesh
+    scan: Utf8PathBuf,
+    /// Only look: files, poses, and a sample of the pictures; no cloud is fused
+    #[arg(long)]
+    check: bool,
+    /// Write the scan in the neutral layout (scene.json): rectified pictures, poses level with Z up, metres
+    #[arg(long, value_name = "FILE.zip", conflicts_with = "check")]
+    out: Option<Utf8PathBuf>,
+    /// Write index.html with pictures and report.json here
+    #[arg(long, value_name = "FOLDER")]
+    report: Option<Utf8PathBuf>,
+    /// The axis that points up in the scan: x, -x, y, -y, z or -z
+    #[arg(long, allow_hyphen_values = true, value_parser = super::parse::up_axis)]
+    up: Option<UpAxis>,
+    /// Length of one unit of the scan's cloud and poses, metres
+    #[arg(long, value_name = "METRES")]
+    metres_per_unit: Option<f64>,
+    /// Leave a tilted world tilted
+    #[arg(long)]
+    no_levelling: bool,
+    /// Print the report as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// A scan as it came in.
+struct Imported {
+    report: ImportReport,
+    frames: Vec<FrameRef>,
+    /// `None`: only looked at, and it has no cloud of its own.
+    cloud: Option<PointCloud>,
+    seconds: f32,
+}
+
+pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
+    ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
+    let settings = ImportSettings {
+        up: args.up,
+        metres_per_unit: args.metres_per_unit,
+        levelling: if args.no_levelling { LevellingChoice::Off } else { LevellingChoice::Auto },
+        ..ImportSettings::default()
+    };
+    let begun = Instant::now();
+    let folder = Unpacked::of(&args.scan)?;
+    let scan = ingest::open(&folder.path)?;
+    let Inspected { frames, cloud, report } = if args.check {
+        ingest::inspect(&scan, &settings, &Progress::silent())?
+    } else {
+        let bundle = ingest::load(&scan, &settings, &Progress::silent())?;
+        Inspected { frames: bundle.frames, cloud: Some(bundle.cloud), report: bundle.report }
+    };
+    let imported = Imported { report, frames, cloud, seconds: begun.elapsed().as_secs_f32() };
+    if let Some(out) = &args.report {
+        write_report(out, &args.scan, &imported)?;
+    }
+    if let (Some(out), Some(cloud)) = (&args.out, &imported.cloud) {
+        archive::write(out, &imported.frames, cloud).with_context(|| format!("--out {out}"))?;
+    }
+    let mut stdout = io::stdout().lock();
+    match args.json {
+        true => writeln!(stdout, "{}", serde_json::to_string_pretty(&imported.report)?)?,
+        false => summary(&imported).iter().try_for_each(|(what, value)| writeln!(stdout, "{what:<12} {value}"))?,
+    }
+    Ok(())
+}
+
+/// What a person wants to know, a line each.
+fn summary(Imported { report, cloud, seconds, .. }: &Imported) -> Vec<(&'static str, String)> {
+    let mut lines = vec![("read as", format!("{} in {seconds:.1} s", report.format))];
+    let skipped = if report.frames_skipped > 0 { format!(", {} skipped", report.frames_skipped) } else { String::new() };
+    lines.push(("frames", format!("{}{skipped}", report.frames)));
+    if report.frames > 0 {
+        let agreement = report
+            .reprojection_agreement
+            .map_or("not to be told".into(), |a| format!("{:.0}% of the points in view", a * 100.0));
+        lines.push(("depth fits", format!("{agreement} (poses {:?}, cameras {})", report.pose, report.camera_axes)));
+    }
+    let level = match &report.levelling {
+        Some(level) if level.turned => format!("tilted by {:.1} degrees, turned level: {}", level.tilt_deg, level.evidence),
+        Some(level) => format!("level within {:.1} degrees: {}", level.tilt_deg, level.evidence),
+        None => "taken as it is".into(),
+    };
+    lines.push(("up", format!("{} ({level})", report.up.name())));
+    if let Some(extent) = cloud.as_ref().and_then(|cloud| Aabb::around(&cloud.positions)) {
+        let whose = if report.cloud_points.is_some() { "its own" } else { "fused" };
+        let points = cloud.as_ref().map_or(0, PointCloud::len);
+        lines.push((
+            "cloud",
+            format!("{points} points ({whose}), {:.2} x {:.2} x {:.2} m", extent.size.x, extent.size.y, extent.size.z),
+        ));
+    }
+    if let Some(way) = report.source_to_scene.filter(|way| way.metres_per_unit != 1.0) {
+        lines.push(("units", format!("{} m", way.metres_per_unit)));
+    }
+    lines.extend(report.warnings.iter().map(|warning| ("warning", warning.clone())));
+    lines
+}
+
+/// Views of the cloud: into the room, from the side (upright things stand up) and from above.
+const VIEWS: [(&str, &str, Orbit); 3] = [
+    ("room", "Into the room", ROOM_VIEW),
+    (
+        "side",
+        "From the side, level: floors are lines",
+        Orbit { width: 1024, height: 600, azimuth_deg: -90.0, tilt_deg: 89.0 },
+    ),
+    ("top", "From above", Orbit { width: 1024, height: 768, azimuth_deg: -90.0, tilt_deg: 0.5 }),
+];
+
+fn write_report(out: &Utf8Path, scan: &Utf8Path, imported: &Imported) -> anyhow::Result<()> {
+    ensure!(!out.as_str().is_empty(), "--report: the folder's name is empty");
+    fs::create_dir_all(out).with_context(|| format!("--report {out}"))?;
+    let mut pictures = Vec::new();
+    if let Some((cloud, extent)) = imported.cloud.as_ref().and_then(|cloud| Some((cloud, Aabb::around(&cloud.positions)?))) {
+        let scene = RenderScene::of(cloud.clone());
+        for (name, title, orbit) in VIEWS {
+            fs::write(out.join(format!("{name}.jpg")), jpeg(&scene_picture(&scene, &extent, &orbit, &[])))?;
+            pictures.push((name, title));
+        }
+    }
+    if let Some(sheet) = page::contact_sheet(&imported.frames) {
+        fs::write(out.join("frames.jpg"), jpeg(&sheet))?;
+        pictures.push(("frames", "Frames over the scan"));
+    }
+    fs::write(out.join("report.json"), serde_json::to_vec_pretty(&imported.report)?)?;
+    fs::write(out.join("index.html"), page::render(scan, &summary(imported), &pictures))?;
+    Ok(())
+}
