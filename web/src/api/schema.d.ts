@@ -66,7 +66,7 @@ export interface paths {
             cookie?: never;
         };
         /** Lists answers that were kept, newest first: a page, or with `format` all of them, streamed. */
-        get: operations["list"];
+        get: operations["list_answers"];
         put?: never;
         post?: never;
         delete?: never;
@@ -83,7 +83,7 @@ export interface paths {
             cookie?: never;
         };
         /** An answer as it was given, whole. */
-        get: operations["get"];
+        get: operations["get_answer"];
         put?: never;
         post?: never;
         delete?: never;
@@ -104,7 +104,7 @@ export interface paths {
          * @description The room itself is always there: where no model was shown one, it is drawn from above with the answer's box (green), its anchor (red)
          *     and the other candidates (blue).
          */
-        get: operations["picture"];
+        get: operations["get_answer_picture"];
         put?: never;
         post?: never;
         delete?: never;
@@ -121,7 +121,7 @@ export interface paths {
             cookie?: never;
         };
         /** What the model was asked for an answer: every message, in order. Kept for as long as the server's operator wants. */
-        get: operations["prompt"];
+        get: operations["get_answer_prompt"];
         put?: never;
         post?: never;
         delete?: never;
@@ -138,7 +138,7 @@ export interface paths {
             cookie?: never;
         };
         /** What the model said, word by word. */
-        get: operations["reply"];
+        get: operations["get_answer_reply"];
         put?: never;
         post?: never;
         delete?: never;
@@ -155,7 +155,7 @@ export interface paths {
             cookie?: never;
         };
         /** Lists what was done, newest first: every request that was let through to change something, whatever came of it. */
-        get: operations["audit"];
+        get: operations["list_audit"];
         put?: never;
         post?: never;
         delete?: never;
@@ -172,7 +172,7 @@ export interface paths {
             cookie?: never;
         };
         /** Lists batches, newest first. */
-        get: operations["list"];
+        get: operations["list_batches"];
         put?: never;
         /**
          * Submits a list of questions, to be asked in the background.
@@ -180,7 +180,7 @@ export interface paths {
          *     for all. What is wrong with one question is that item's failure; a line that is no JSON object refuses the whole. Nothing is ever asked
          *     twice: not after a restart, not when the same list is sent again under its `Idempotency-Key`.
          */
-        post: operations["create"];
+        post: operations["create_batch"];
         delete?: never;
         options?: never;
         head?: never;
@@ -195,7 +195,7 @@ export interface paths {
             cookie?: never;
         };
         /** A batch as it stands: how far it is, what it cost, how long it will take. */
-        get: operations["get"];
+        get: operations["get_batch"];
         put?: never;
         post?: never;
         delete?: never;
@@ -214,7 +214,7 @@ export interface paths {
         get?: never;
         put?: never;
         /** Stops asking for good. What is answered stays. */
-        post: operations["cancel"];
+        post: operations["cancel_batch"];
         delete?: never;
         options?: never;
         head?: never;
@@ -231,7 +231,7 @@ export interface paths {
         get?: never;
         put?: never;
         /** Stops asking until somebody resumes it. Questions under way are answered. */
-        post: operations["pause"];
+        post: operations["pause_batch"];
         delete?: never;
         options?: never;
         head?: never;
@@ -246,7 +246,7 @@ export interface paths {
             cookie?: never;
         };
         /** Results in the order of the items, a line each, as far as they are there. */
-        get: operations["results"];
+        get: operations["get_batch_results"];
         put?: never;
         post?: never;
         delete?: never;
@@ -265,7 +265,7 @@ export interface paths {
         get?: never;
         put?: never;
         /** Goes on with a batch that is paused. */
-        post: operations["resume"];
+        post: operations["resume_batch"];
         delete?: never;
         options?: never;
         head?: never;
@@ -280,7 +280,7 @@ export interface paths {
             cookie?: never;
         };
         /** Lists jobs, newest first. */
-        get: operations["list"];
+        get: operations["list_jobs"];
         put?: never;
         post?: never;
         delete?: never;
@@ -297,11 +297,11 @@ export interface paths {
             cookie?: never;
         };
         /** A job as it stands. */
-        get: operations["get"];
+        get: operations["get_job"];
         put?: never;
         post?: never;
         /** Asks a job to stop. A finished job stays as it is. */
-        delete: operations["cancel"];
+        delete: operations["cancel_job"];
         options?: never;
         head?: never;
         patch?: never;
@@ -318,7 +318,7 @@ export interface paths {
          * Follows a job: `progress` events while it goes on, then one `done`; data is the job.
          * @description `Last-Event-ID` resumes: progress the caller has seen is not sent again; the end is always told.
          */
-        get: operations["events"];
+        get: operations["follow_job"];
         put?: never;
         post?: never;
         delete?: never;
@@ -335,13 +335,13 @@ export interface paths {
             cookie?: never;
         };
         /** Lists keys, newest first, without their secrets. */
-        get: operations["list"];
+        get: operations["list_keys"];
         put?: never;
         /**
          * Makes a key. Its secret is in this answer and nowhere else.
          * @description From the first key on, everybody needs one.
          */
-        post: operations["create"];
+        post: operations["create_key"];
         delete?: never;
         options?: never;
         head?: never;
@@ -359,7 +359,7 @@ export interface paths {
         put?: never;
         post?: never;
         /** Revokes a key: it is refused from now on, and its batches pause. What was done with it stays readable. */
-        delete: operations["revoke"];
+        delete: operations["revoke_key"];
         options?: never;
         head?: never;
         patch?: never;
@@ -373,7 +373,7 @@ export interface paths {
             cookie?: never;
         };
         /** The models this server was started with; none when all parts are built in. */
-        get: operations["models"];
+        get: operations["list_models"];
         put?: never;
         post?: never;
         delete?: never;
@@ -390,14 +390,14 @@ export interface paths {
             cookie?: never;
         };
         /** Lists scenes, newest first. */
-        get: operations["list"];
+        get: operations["list_scenes"];
         put?: never;
         /**
          * Uploads a scan.
          * @description The body is the archive itself, streamed. It is checked before anything is stored; parsing then runs as a job.
          *     The same bytes under the same settings are parsed only once.
          */
-        post: operations["create"];
+        post: operations["create_scene"];
         delete?: never;
         options?: never;
         head?: never;
@@ -412,15 +412,15 @@ export interface paths {
             cookie?: never;
         };
         /** One scene. */
-        get: operations["get"];
+        get: operations["get_scene"];
         put?: never;
         post?: never;
         /** Deletes a scene with its answers. */
-        delete: operations["delete"];
+        delete: operations["delete_scene"];
         options?: never;
         head?: never;
         /** Renames a scene. */
-        patch: operations["rename"];
+        patch: operations["rename_scene"];
         trace?: never;
     };
     "/v1/scenes/{scene_id}/cloud.ply": {
@@ -431,7 +431,7 @@ export interface paths {
             cookie?: never;
         };
         /** The cloud in its own colours, PLY. */
-        get: operations["cloud"];
+        get: operations["get_cloud"];
         put?: never;
         post?: never;
         delete?: never;
@@ -451,7 +451,24 @@ export interface paths {
          * What the instances look like: a numpy array of half floats, one unit vector per instance in order of id, zero for those no frame
          *     shows. The scene's `models` name the encoder.
          */
-        get: operations["embeddings"];
+        get: operations["get_embeddings"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/scenes/{scene_id}/frames": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The photographs of a scan: where each was taken from, and with what camera. */
+        get: operations["list_frames"];
         put?: never;
         post?: never;
         delete?: never;
@@ -488,7 +505,7 @@ export interface paths {
             cookie?: never;
         };
         /** The instances of a scene's current parse, in order of id: the largest first, then parts and wholes where these are asked for. */
-        get: operations["list"];
+        get: operations["list_instances"];
         put?: never;
         post?: never;
         delete?: never;
@@ -505,7 +522,7 @@ export interface paths {
             cookie?: never;
         };
         /** The cloud coloured by instance, PLY; each point carries its instance id. */
-        get: operations["instances_cloud"];
+        get: operations["get_instances_cloud"];
         put?: never;
         post?: never;
         delete?: never;
@@ -522,7 +539,7 @@ export interface paths {
             cookie?: never;
         };
         /** One instance. */
-        get: operations["get"];
+        get: operations["get_instance"];
         put?: never;
         post?: never;
         delete?: never;
@@ -539,7 +556,7 @@ export interface paths {
             cookie?: never;
         };
         /** A picture that shows the instance: the best view is `0.jpg`. */
-        get: operations["view"];
+        get: operations["get_instance_view"];
         put?: never;
         post?: never;
         delete?: never;
@@ -561,7 +578,7 @@ export interface paths {
          * Has the vision-language model name every object of the current parse, in the background.
          * @description Names do not depend on questions and are kept; what has one is not paid for again. Questions with `evidence: "cached_names"` use them.
          */
-        post: operations["name"];
+        post: operations["name_instances"];
         delete?: never;
         options?: never;
         head?: never;
@@ -578,7 +595,7 @@ export interface paths {
         get?: never;
         put?: never;
         /** Parses a scene again, into a new version. Questions use the old one until the new one is ready. */
-        post: operations["parse"];
+        post: operations["parse_scene"];
         delete?: never;
         options?: never;
         head?: never;
@@ -593,7 +610,7 @@ export interface paths {
             cookie?: never;
         };
         /** What the current parse did: counts, seconds and memory per stage, warnings, settings, and pictures of every step. */
-        get: operations["get"];
+        get: operations["get_report"];
         put?: never;
         post?: never;
         delete?: never;
@@ -610,7 +627,7 @@ export interface paths {
             cookie?: never;
         };
         /** A picture of the current parse. */
-        get: operations["picture"];
+        get: operations["get_report_picture"];
         put?: never;
         post?: never;
         delete?: never;
@@ -647,7 +664,7 @@ export interface paths {
             cookie?: never;
         };
         /** What this server holds, does and may spend, in numbers. */
-        get: operations["stats"];
+        get: operations["get_stats"];
         put?: never;
         post?: never;
         delete?: never;
@@ -671,7 +688,7 @@ export interface components {
          * @description Parts of the paper's prompt left out; only a vision-language model has a prompt.
          * @enum {string}
          */
-        Ablation: "full" | "no_global" | "no_candidate" | "simple_prompt";
+        Ablation: "full" | "no_global" | "no_candidate" | "simple_prompt" | "raw_render" | "no_loop";
         /** @description Another instance the question may mean. */
         Alternative: {
             /** @description Axis-aligned box, stray points left out; metres, world frame (Z up). */
@@ -1067,6 +1084,11 @@ export interface components {
          * @description Position of a frame in the scan's own list; stable when frames are skipped.
          */
         FrameIndex: number;
+        /** @description The photographs of a scan, in its own order. */
+        FrameList: {
+            /** @description Empty for a scan without frames, and in parses that were made before frames were kept. */
+            frames: components["schemas"]["FrameView"][];
+        };
         /** @description Which frames of a scan are looked at. */
         FrameSamplingSettings: {
             /**
@@ -1081,6 +1103,43 @@ export interface components {
              * @default 1000
              */
             stride_frames?: number;
+        };
+        /** @description A photograph: pinhole camera and pose. */
+        FrameView: {
+            /** @description Takes points of the camera (x right, y down, z forward) to the scene's world (Z up), metres; rows of a 4 x 4 matrix. */
+            camera_to_world: number[][];
+            /**
+             * Format: float
+             * @description Column where the optical axis meets the photograph; 0 is the middle of the first pixel.
+             */
+            cx: number;
+            /**
+             * Format: float
+             * @description Row where the optical axis meets the photograph.
+             */
+            cy: number;
+            /**
+             * Format: float
+             * @description Focal length along x, pixels.
+             */
+            fx: number;
+            /**
+             * Format: float
+             * @description Focal length along y, pixels.
+             */
+            fy: number;
+            /**
+             * Format: int32
+             * @description Rows of the photograph.
+             */
+            height: number;
+            /** @description Position in the scan's own list, from 0, as views name it; frames left out leave gaps. */
+            index: components["schemas"]["FrameIndex"];
+            /**
+             * Format: int32
+             * @description Columns of the photograph.
+             */
+            width: number;
         };
         /** @description How a cloud is fused from depth pictures: a truncated signed distance volume. */
         FusionSettings: {
@@ -1183,7 +1242,7 @@ export interface components {
              * @description Points in the archive's own cloud; `null` when the cloud is fused from the frames.
              */
             cloud_points?: number | null;
-            /** @description Layout of the archive: `uniground-scene/1` or `color-depth-pose`. */
+            /** @description Layout that the files were read as: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on. */
             format: string;
             /**
              * Format: int32
@@ -1192,9 +1251,10 @@ export interface components {
             frames: number;
             /**
              * Format: int32
-             * @description Frames left out because the tracker marked their pose as lost (infinite).
+             * @description Frames left out: their pose is marked as lost (infinite), or a file of theirs is damaged or missing. The warnings name them.
              */
             frames_skipped: number;
+            levelling?: components["schemas"]["Levelling"] | null;
             /** @description Which way the poses of the files were read. */
             pose: components["schemas"]["PoseConvention"];
             /**
@@ -1202,7 +1262,8 @@ export interface components {
              * @description Share of sampled points that agree with the depth pictures they project into, `0..=1`; `null` where it could not be measured.
              */
             reprojection_agreement?: number | null;
-            /** @description The axis that pointed up in the files; the stored scene has Z up. */
+            source_to_scene?: components["schemas"]["SourceToScene"] | null;
+            /** @description The axis of the files next to what is up; the stored scene has Z up. Of a tilted world `levelling` says the rest. */
             up: components["schemas"]["UpAxis"];
             /** @description What is odd but was accepted, each with its file or frame. */
             warnings: string[];
@@ -1220,6 +1281,17 @@ export interface components {
              *     }
              */
             fusion?: components["schemas"]["FusionSettings"];
+            /**
+             * @description Whether a world that is tilted is turned level.
+             * @default auto
+             */
+            levelling?: components["schemas"]["LevellingChoice"];
+            /**
+             * Format: double
+             * @description Length of one unit of the files' clouds and poses, metres. `null`: metres, unless a cloud without cameras is far too large for that.
+             * @default null
+             */
+            metres_per_unit?: number | null;
             /** @default null */
             up?: components["schemas"]["UpAxis"] | null;
         };
@@ -1308,6 +1380,11 @@ export interface components {
             colours: {
                 [key: string]: number;
             };
+            /**
+             * @description The question it was found for: a vision-language model saw it in a photograph, and it was no instance yet. `null` for what the
+             *     parse has found.
+             */
+            found_for?: string | null;
             /**
              * Format: float
              * @description Metres from the floor to the bottom of `box`; negative where it reaches below.
@@ -1503,6 +1580,28 @@ export interface components {
          * @enum {string}
          */
         Level: "thing" | "part" | "whole";
+        /** @description How level a scan's world is. */
+        Levelling: {
+            /**
+             * Format: float
+             * @description Share of the surfaces looked at that are level or upright with it, `0..=1`.
+             */
+            confidence: number;
+            /** @description What it was told by, a sentence. */
+            evidence: string;
+            /**
+             * Format: float
+             * @description Angle between the axis called up in the files and what was found to be up, degrees.
+             */
+            tilt_deg: number;
+            /** @description Whether the scene was turned by it. Worlds that are level within a few degrees stay as they are. */
+            turned: boolean;
+        };
+        /**
+         * @description Whether a world that is tilted is turned level.
+         * @enum {string}
+         */
+        LevellingChoice: "auto" | "off";
         /** @description A model in use, as told to callers. */
         LoadedModel: {
             /** @description Pictures, or prompts, per call. */
@@ -2543,6 +2642,21 @@ export interface components {
             /** @description Whether the chosen candidate's own name means what the question asks for; `null` when nothing was chosen. */
             target_name_matches?: boolean | null;
         };
+        /**
+         * @description From the coordinates of the files that were uploaded to the scene's (metres, Z up): `scene = rotation * (metres_per_unit * source) +
+         *     translation_m`. In double precision: what lies at map coordinates keeps its place.
+         */
+        SourceToScene: {
+            /**
+             * Format: double
+             * @description Length of one unit of the files, metres.
+             */
+            metres_per_unit: number;
+            /** @description Rows of a 3x3 rotation matrix. */
+            rotation: number[][];
+            /** @description Metres, in the scene's axes. */
+            translation_m: number[];
+        };
         /** @description What vision-language models have cost, at the prices the server was given. */
         Spending: {
             /**
@@ -2912,7 +3026,7 @@ export interface operations {
             };
         };
     };
-    list: {
+    list_answers: {
         parameters: {
             query?: {
                 /** @description To questions of this batch. */
@@ -2974,7 +3088,7 @@ export interface operations {
             };
         };
     };
-    get: {
+    get_answer: {
         parameters: {
             query?: never;
             header?: never;
@@ -3019,7 +3133,7 @@ export interface operations {
             };
         };
     };
-    picture: {
+    get_answer_picture: {
         parameters: {
             query?: never;
             header?: never;
@@ -3066,7 +3180,7 @@ export interface operations {
             };
         };
     };
-    prompt: {
+    get_answer_prompt: {
         parameters: {
             query?: never;
             header?: never;
@@ -3111,7 +3225,7 @@ export interface operations {
             };
         };
     };
-    reply: {
+    get_answer_reply: {
         parameters: {
             query?: never;
             header?: never;
@@ -3156,7 +3270,7 @@ export interface operations {
             };
         };
     };
-    audit: {
+    list_audit: {
         parameters: {
             query?: {
                 /** @description `next_cursor` of the page before. */
@@ -3212,7 +3326,7 @@ export interface operations {
             };
         };
     };
-    list: {
+    list_batches: {
         parameters: {
             query?: {
                 /** @description `next_cursor` of the page before. */
@@ -3260,7 +3374,7 @@ export interface operations {
             };
         };
     };
-    create: {
+    create_batch: {
         parameters: {
             query?: {
                 /** @description JSONL only: questions asked at once. */
@@ -3352,7 +3466,7 @@ export interface operations {
             };
         };
     };
-    get: {
+    get_batch: {
         parameters: {
             query?: never;
             header?: never;
@@ -3397,68 +3511,7 @@ export interface operations {
             };
         };
     };
-    cancel: {
-        parameters: {
-            query?: never;
-            header?: never;
-            path: {
-                batch_id: string;
-            };
-            cookie?: never;
-        };
-        requestBody?: never;
-        responses: {
-            200: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/json": components["schemas"]["Batch"];
-                };
-            };
-            401: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            403: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            404: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            409: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-            429: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content: {
-                    "application/problem+json": components["schemas"]["Problem"];
-                };
-            };
-        };
-    };
-    pause: {
+    cancel_batch: {
         parameters: {
             query?: never;
             header?: never;
@@ -3519,7 +3572,68 @@ export interface operations {
             };
         };
     };
-    results: {
+    pause_batch: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                batch_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Batch"];
+                };
+            };
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    get_batch_results: {
         parameters: {
             query?: {
                 /** @description Wait for items that are still asked, until the batch ends or pauses; else the results end at the first that is. */
@@ -3580,7 +3694,7 @@ export interface operations {
             };
         };
     };
-    resume: {
+    resume_batch: {
         parameters: {
             query?: never;
             header?: never;
@@ -3641,7 +3755,7 @@ export interface operations {
             };
         };
     };
-    list: {
+    list_jobs: {
         parameters: {
             query?: {
                 /** @description `next_cursor` of the page before. */
@@ -3695,7 +3809,7 @@ export interface operations {
             };
         };
     };
-    get: {
+    get_job: {
         parameters: {
             query?: never;
             header?: never;
@@ -3740,7 +3854,7 @@ export interface operations {
             };
         };
     };
-    cancel: {
+    cancel_job: {
         parameters: {
             query?: never;
             header?: never;
@@ -3794,7 +3908,7 @@ export interface operations {
             };
         };
     };
-    events: {
+    follow_job: {
         parameters: {
             query?: never;
             header?: {
@@ -3841,7 +3955,7 @@ export interface operations {
             };
         };
     };
-    list: {
+    list_keys: {
         parameters: {
             query?: {
                 /** @description `next_cursor` of the page before. */
@@ -3897,7 +4011,7 @@ export interface operations {
             };
         };
     };
-    create: {
+    create_key: {
         parameters: {
             query?: never;
             header?: never;
@@ -3976,7 +4090,7 @@ export interface operations {
             };
         };
     };
-    revoke: {
+    revoke_key: {
         parameters: {
             query?: never;
             header?: never;
@@ -4029,7 +4143,7 @@ export interface operations {
             };
         };
     };
-    models: {
+    list_models: {
         parameters: {
             query?: never;
             header?: never;
@@ -4064,7 +4178,7 @@ export interface operations {
             };
         };
     };
-    list: {
+    list_scenes: {
         parameters: {
             query?: {
                 /** @description `next_cursor` of the page before. */
@@ -4112,7 +4226,7 @@ export interface operations {
             };
         };
     };
-    create: {
+    create_scene: {
         parameters: {
             query?: {
                 /** @description Name of the scene; default: what the archive calls itself. */
@@ -4206,7 +4320,7 @@ export interface operations {
             };
         };
     };
-    get: {
+    get_scene: {
         parameters: {
             query?: never;
             header?: never;
@@ -4251,7 +4365,7 @@ export interface operations {
             };
         };
     };
-    delete: {
+    delete_scene: {
         parameters: {
             query?: never;
             header?: never;
@@ -4303,7 +4417,7 @@ export interface operations {
             };
         };
     };
-    rename: {
+    rename_scene: {
         parameters: {
             query?: never;
             header?: never;
@@ -4392,7 +4506,7 @@ export interface operations {
             };
         };
     };
-    cloud: {
+    get_cloud: {
         parameters: {
             query?: never;
             header?: never;
@@ -4445,7 +4559,7 @@ export interface operations {
             };
         };
     };
-    embeddings: {
+    get_embeddings: {
         parameters: {
             query?: never;
             header?: never;
@@ -4462,6 +4576,59 @@ export interface operations {
                 };
                 content: {
                     "application/octet-stream": components["schemas"]["Binary"];
+                };
+            };
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    list_frames: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["FrameList"];
                 };
             };
             401: {
@@ -4619,7 +4786,7 @@ export interface operations {
             };
         };
     };
-    list: {
+    list_instances: {
         parameters: {
             query?: {
                 /** @description `next_cursor` of the page before. */
@@ -4687,7 +4854,7 @@ export interface operations {
             };
         };
     };
-    instances_cloud: {
+    get_instances_cloud: {
         parameters: {
             query?: never;
             header?: never;
@@ -4740,7 +4907,7 @@ export interface operations {
             };
         };
     };
-    get: {
+    get_instance: {
         parameters: {
             query?: never;
             header?: never;
@@ -4794,7 +4961,7 @@ export interface operations {
             };
         };
     };
-    view: {
+    get_instance_view: {
         parameters: {
             query?: {
                 /** @description The full frame with the object outlined in a red box, or a crop of it with darker surroundings. */
@@ -4861,7 +5028,7 @@ export interface operations {
             };
         };
     };
-    name: {
+    name_instances: {
         parameters: {
             query?: never;
             header?: never;
@@ -4922,7 +5089,7 @@ export interface operations {
             };
         };
     };
-    parse: {
+    parse_scene: {
         parameters: {
             query?: never;
             header?: never;
@@ -5011,7 +5178,7 @@ export interface operations {
             };
         };
     };
-    get: {
+    get_report: {
         parameters: {
             query?: never;
             header?: never;
@@ -5064,7 +5231,7 @@ export interface operations {
             };
         };
     };
-    picture: {
+    get_report_picture: {
         parameters: {
             query?: never;
             header?: never;
@@ -5208,7 +5375,7 @@ export interface operations {
             };
         };
     };
-    stats: {
+    get_stats: {
         parameters: {
             query?: never;
             header?: never;

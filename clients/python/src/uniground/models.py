@@ -12,7 +12,7 @@ from typing import Any, Literal, Optional, TypedDict
 
 from uniground._values import AnswerMethods, BoxMethods
 
-Ablation = Literal["full", "no_global", "no_candidate", "simple_prompt"]
+Ablation = Literal["full", "no_global", "no_candidate", "simple_prompt", "raw_render", "no_loop"]
 """Parts of the paper's prompt left out; only a vision-language model has a prompt."""
 BatchState = Literal["running", "paused", "succeeded", "cancelled"]
 """Where a batch stands."""
@@ -34,6 +34,8 @@ JobState = Literal["queued", "running", "succeeded", "failed", "cancelled"]
 """Where a job stands. `succeeded`, `failed` and `cancelled` are final."""
 Level = Literal["thing", "part", "whole"]
 """What an instance is among the others. Every point belongs to one thing or none; parts and wholes overlap them."""
+LevellingChoice = Literal["auto", "off"]
+"""Whether a world that is tilted is turned level."""
 MaskOrder = Literal["ascending_quality", "larger_first"]
 """How masks that overlap are painted."""
 NoMatchReason = Literal["absent", "not_recognised", "not_english", "elsewhere", "none_seen", "not_listed"]
@@ -435,12 +437,40 @@ class FieldError:
     """What would be right."""
 
 
+@dataclass
+class FrameList:
+    """The photographs of a scan, in its own order."""
+    frames: list[FrameView]
+    """Empty for a scan without frames, and in parses that were made before frames were kept."""
+
+
 class FrameSamplingSettings(TypedDict, total=False):
     """Which frames of a scan are looked at."""
     max_frames: Optional[int]
     """At most this many frames, spread evenly along the camera path; `null` = no limit."""
     stride_frames: int
     """Every `max(1, floor(frames / this))`-th frame is used. Paper: 1000."""
+
+
+@dataclass
+class FrameView:
+    """A photograph: pinhole camera and pose."""
+    index: FrameIndex
+    """Position in the scan's own list, from 0, as views name it; frames left out leave gaps."""
+    width: int
+    """Columns of the photograph."""
+    height: int
+    """Rows of the photograph."""
+    fx: float
+    """Focal length along x, pixels."""
+    fy: float
+    """Focal length along y, pixels."""
+    cx: float
+    """Column where the optical axis meets the photograph; 0 is the middle of the first pixel."""
+    cy: float
+    """Row where the optical axis meets the photograph."""
+    camera_to_world: list[list[float]]
+    """Takes points of the camera (x right, y down, z forward) to the scene's world (Z up), metres; rows of a 4 x 4 matrix."""
 
 
 class FusionSettings(TypedDict, total=False):
@@ -513,9 +543,9 @@ class Health:
 class ImportReport:
     """What the importer found; part of the scene's public record."""
     format: str
-    """Layout of the archive: `uniground-scene/1` or `color-depth-pose`."""
+    """Layout that the files were read as: `uniground-scene/1`, `color-depth-pose`, `tum-rgbd` and so on."""
     up: UpAxis
-    """The axis that pointed up in the files; the stored scene has Z up."""
+    """The axis of the files next to what is up; the stored scene has Z up. Of a tilted world `levelling` says the rest."""
     pose: PoseConvention
     """Which way the poses of the files were read."""
     camera_axes: str
@@ -523,19 +553,26 @@ class ImportReport:
     frames: int
     """Frames that can be used: those left out are not counted."""
     frames_skipped: int
-    """Frames left out because the tracker marked their pose as lost (infinite)."""
+    """Frames left out: their pose is marked as lost (infinite), or a file of theirs is damaged or missing. The warnings name them."""
     warnings: list[str]
     """What is odd but was accepted, each with its file or frame."""
     cloud_points: Optional[int] = None
     """Points in the archive's own cloud; `null` when the cloud is fused from the frames."""
+    levelling: Optional[Levelling] = None
     reprojection_agreement: Optional[float] = None
     """Share of sampled points that agree with the depth pictures they project into, `0..=1`; `null` where it could not be measured."""
+    source_to_scene: Optional[SourceToScene] = None
 
 
 class ImportSettings(TypedDict, total=False):
     """How a scan becomes a scene; part of the parse settings, because they decide the result."""
     fusion: FusionSettings
     """Used when the archive has no cloud of its own."""
+    levelling: LevellingChoice
+    """Whether a world that is tilted is turned level."""
+    metres_per_unit: Optional[float]
+    """Length of one unit of the files' clouds and poses, metres. `null`: metres, unless a cloud without cameras is far too large for that.
+    """
     up: Optional[UpAxis]
     """The world axis that points up in the files. `null`: what the manifest says; without one, the axis the cameras hold up."""
 
@@ -601,6 +638,10 @@ class InstanceView:
     """Best first, at most five; empty for parts of the building, and where nothing fits."""
     views: list[View]
     """Frames that show it best; pictures at `/instances/{id}/views/{k}.jpg`, k from 0."""
+    found_for: Optional[str] = None
+    """The question it was found for: a vision-language model saw it in a photograph, and it was no instance yet. `null` for what the parse
+    has found.
+    """
     level: Optional[Level] = None
     """A thing, a part of one, or a whole of several."""
     model_name: Optional[str] = None
@@ -726,6 +767,19 @@ class KeyList:
     """Newest first; revoked ones too."""
     next_cursor: Optional[str] = None
     """`cursor` of the next page; `null` on the last."""
+
+
+@dataclass
+class Levelling:
+    """How level a scan's world is."""
+    tilt_deg: float
+    """Angle between the axis called up in the files and what was found to be up, degrees."""
+    turned: bool
+    """Whether the scene was turned by it. Worlds that are level within a few degrees stay as they are."""
+    confidence: float
+    """Share of the surfaces looked at that are level or upright with it, `0..=1`."""
+    evidence: str
+    """What it was told by, a sentence."""
 
 
 @dataclass
@@ -1257,6 +1311,19 @@ class SixFields:
     """The relation the decision used, in the question's words."""
     target_name_matches: Optional[bool] = None
     """Whether the chosen candidate's own name means what the question asks for; `null` when nothing was chosen."""
+
+
+@dataclass
+class SourceToScene:
+    """From the coordinates of the files that were uploaded to the scene's (metres, Z up): `scene = rotation * (metres_per_unit * source) +
+    translation_m`. In double precision: what lies at map coordinates keeps its place.
+    """
+    rotation: list[list[float]]
+    """Rows of a 3x3 rotation matrix."""
+    translation_m: list[float]
+    """Metres, in the scene's axes."""
+    metres_per_unit: float
+    """Length of one unit of the files, metres."""
 
 
 @dataclass
