@@ -17,7 +17,7 @@ use uniground_core::progress::Progress;
 use uniground_core::scene::{Frame, PointCloud, SceneBundle, Structure};
 use uniground_core::scene_parsing::ParseError;
 use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
-use uniground_types::settings::ImportSettings;
+use uniground_types::settings::{ImportSettings, LevellingChoice};
 
 /// An annotated room, loaded.
 #[derive(Clone)]
@@ -40,7 +40,11 @@ impl AnnotatedRoom {
         let (annotations, omissions) = Annotations::read(&file);
         ensure!(omissions.is_empty(), "{}", omissions.iter().map(ToString::to_string).collect::<Vec<_>>().join("; "));
         unpack(&folder.join(format!("{name}.zip")), ArchiveKind::Zip, scratch, &UnpackLimits::default())?;
-        let bundle = ingest::load(&ingest::open(scratch)?, &ImportSettings::default(), &Progress::silent())?;
+        let bundle = ingest::load(
+            &ingest::open(scratch)?,
+            &ImportSettings { levelling: LevellingChoice::Off, ..ImportSettings::default() },
+            &Progress::silent(),
+        )?;
         let truth = annotations.label(&bundle.cloud);
         Ok(Self { bundle, truth, annotations: Arc::new(annotations), turned_deg: 0.0 })
     }

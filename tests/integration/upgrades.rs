@@ -68,6 +68,8 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     expected["settings"]["parsing"]["instances"]["min_agreement"] = 0.0.into();
     expected["settings"]["parsing"]["instances"]["min_points"] = 0.into();
     expected["settings"]["parsing"]["instances"]["parts_and_wholes"] = 0.0.into();
+    expected["import"]["levelling"] = Value::Null;
+    expected["import"]["source_to_scene"] = Value::Null;
     expected["report"]["dropped"] = 0.into();
     expected["report"]["specks"] = 0.into();
     expected["report"]["parts_and_wholes"] = 0.into();

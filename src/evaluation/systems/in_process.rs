@@ -37,7 +37,7 @@ use uniground_core::scene::{Embeddings, FrameRef, Instance, InstanceId, ParsedSc
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::answer::Models;
 use uniground_types::question::{ParserChoice, ReasonerChoice};
-use uniground_types::settings::{ImportSettings, ParseSettings};
+use uniground_types::settings::{ImportSettings, LevellingChoice, ParseSettings};
 
 /// How a model is asked in a run.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -151,7 +151,9 @@ impl System for InProcess {
         let annotated = |permission| scene.annotations.as_ref().map(|sealed| sealed.as_instances(permission));
         let missing = |what: &str| format!("the scene {} has no {what}", scene.id);
         let models = self.models(configuration)?;
-        let settings = ParseSettings::from_request(configuration.preset, configuration.settings.clone())?;
+        let mut settings = ParseSettings::from_request(configuration.preset, configuration.settings.clone())?;
+        // The truth is told in the world of the files.
+        settings.import.levelling = LevellingChoice::Off;
         // The scene is brought in once for all reasoners and parsers: where a model may decide, it needs photographs.
         let with_views = self.vlm.is_some();
         let known = |annotations: &Annotations, names| boxed(annotations, scene, names, &models, &settings, with_views);

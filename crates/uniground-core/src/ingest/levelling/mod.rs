@@ -89,11 +89,9 @@ pub(super) fn of_frames(frames: &[FrameRef], said: Said, warnings: &mut Vec<Stri
 /// # Errors
 /// [`IngestError::UpUnknown`] when nothing says it and the cloud does not show it.
 pub(super) fn of_cloud(cloud: &PointCloud, said: Said, warnings: &mut Vec<String>) -> Result<Upright, IngestError> {
-    if said.choice == LevellingChoice::Off || said.by_gravity {
-        return match said.up {
-            Some(axis) => Ok(along(axis, None)),
-            None => Err(IngestError::UpUnknown { reason: "levelling is off and nothing says which axis is up".into() }),
-        };
+    if said.choice == LevellingChoice::Off || (said.by_gravity && said.up.is_some()) {
+        // Who wants files as they are gets them so.
+        return Ok(along(told(said.up, said, warnings), None));
     }
     let surfaces = surfaces::of_cloud(cloud);
     if let Some(axis) = said.up {
