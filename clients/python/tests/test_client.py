@@ -215,15 +215,16 @@ def test_an_error_says_what_is_wrong(client: Client, scene: Scene, server: str, 
 
 
 def test_a_parse_that_fails_says_why(client: Client, tmp_path: Path) -> None:
-    """Depth in centimetres, said to be millimetres."""
-    with zipfile.ZipFile(SAMPLE) as sample, zipfile.ZipFile(tmp_path / "wrong.zip", "w") as wrong:
-        for name in sample.namelist():
-            content = sample.read(name)
-            wrong.writestr(name, content.replace(b'"depth_scale_m": 0.001', b'"depth_scale_m": 0.01') if name == "scene.json" else content)
+    """A flat cloud alone: nobody can tell which of its sides is up."""
+    points = "".join(f"{i % 20 * 0.05} {i // 20 * 0.05} {i % 7 * 0.001} 90 90 90\n" for i in range(400))
+    properties = [*(f"property float {axis}\n" for axis in "xyz"), *(f"property uchar {colour}\n" for colour in ("red", "green", "blue"))]
+    head = "ply\nformat ascii 1.0\nelement vertex 400\n" + "".join(properties) + "end_header\n"
+    with zipfile.ZipFile(tmp_path / "wrong.zip", "w") as wrong:
+        wrong.writestr("cloud.ply", head + points)
     scene = client.upload(tmp_path / "wrong.zip")
     with pytest.raises(UnigroundError) as failed:
         scene.wait(timeout_s=60)
-    assert (failed.value.code, failed.value.status) == ("convention_mismatch", None)
+    assert (failed.value.code, failed.value.status) == ("up_unknown", None)
     assert failed.value.job_id == scene.info.job_id
 
 
