@@ -9,7 +9,7 @@ use std::time::Instant;
 
 /// Refusals of more memory are none.
 const MOST_MB: f64 = 150.0;
-/// What shows only when a cloud was read may take what its eight million points take.
+/// A cloud that was read may take what its eight million points take.
 const MOST_MB_READ: f64 = 256.0;
 /// Seconds for what can be told from headers.
 const SOON: f64 = 2.0;
@@ -80,7 +80,7 @@ pub async fn run(form: Form, report: &mut Report) {
             }
             other => (format!("{other:?}").chars().take(30).collect(), false),
         };
-        let most_mb = if code.starts_with("job ") { MOST_MB_READ } else { MOST_MB };
+        let most_mb = if code == "job up_unknown" { MOST_MB_READ } else { MOST_MB };
         let (seconds, peak) = (since(start), target.peak_mb());
         tokio::time::sleep(std::time::Duration::from_millis(300)).await;
         let left = target.left();

@@ -105,9 +105,14 @@ impl InProcess {
         let mut hasher = Sha256::new();
         digest::add_path(scan, &mut hasher).with_context(|| scan.to_string())?;
         let content = digest::finish(hasher);
-        let folder = parses.join(&content);
+        let own = parses.join(&self.program);
+        let folder = own.join(&content);
         fs::create_dir_all(&folder).with_context(|| folder.to_string())?;
-        Ok(Checkpoints::kept_in(&folder, &serde_json::to_string(&(&self.program, content, import))?))
+        // What another build has left is of no use to anybody.
+        for entry in parses.read_dir_utf8()?.flatten().filter(|entry| entry.path() != own) {
+            fs::remove_dir_all(entry.path()).with_context(|| entry.path().to_string())?;
+        }
+        Ok(Checkpoints::kept_in(&folder, &serde_json::to_string(&(content, import))?))
     }
 
     /// The models a configuration asks for, loaded once.

@@ -81,17 +81,13 @@ pub fn read_frames(parse: &Utf8Path, content: &Utf8Path) -> Result<Option<Vec<Fr
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
         Err(error) => return Err(error.into()),
     };
-    let placed = |frame: FrameRef| FrameRef { colour: content.join(&frame.colour), depth: content.join(&frame.depth), ..frame };
-    Ok(Some(kept.into_iter().map(placed).collect()))
+    Ok(Some(kept.into_iter().map(|frame| frame.with_paths(|path| content.join(path))).collect()))
 }
 
 /// Paths are kept relative to the content, whose folder may lie elsewhere tomorrow.
 fn write_frames(frames: &[FrameRef], content: &Utf8Path, parse: &Utf8Path) -> Result<(), Error> {
     let relative = |path: &Utf8Path| path.strip_prefix(content).unwrap_or(path).to_owned();
-    let kept: Vec<FrameRef> = frames
-        .iter()
-        .map(|frame| FrameRef { colour: relative(&frame.colour), depth: relative(&frame.depth), ..frame.clone() })
-        .collect();
+    let kept: Vec<FrameRef> = frames.iter().map(|frame| frame.clone().with_paths(relative)).collect();
     Ok(fs::write(parse.join(FRAMES), serde_json::to_vec(&kept)?)?)
 }
 

@@ -19,13 +19,7 @@ impl SceneBundle {
     /// The same bundle with the paths of its frames changed.
     #[must_use]
     pub fn with_paths(mut self, path: impl Fn(&Utf8Path) -> Utf8PathBuf) -> Self {
-        for frame in &mut self.frames {
-            frame.colour = path(&frame.colour);
-            frame.depth = path(&frame.depth);
-            if let Some(confidence) = &mut frame.optics.confidence {
-                confidence.file = path(&confidence.file);
-            }
-        }
+        self.frames = self.frames.into_iter().map(|frame| frame.with_paths(&path)).collect();
         self
     }
 }

@@ -88,6 +88,17 @@ pub struct Frame {
 }
 
 impl FrameRef {
+    /// The same frame with the paths of its files changed.
+    #[must_use]
+    pub fn with_paths(mut self, path: impl Fn(&Utf8Path) -> Utf8PathBuf) -> Self {
+        self.colour = path(&self.colour);
+        self.depth = path(&self.depth);
+        if let Some(confidence) = &mut self.optics.confidence {
+            confidence.file = path(&confidence.file);
+        }
+        self
+    }
+
     /// Projects world points into pixels of the colour picture.
     #[must_use]
     pub fn colour_camera(&self) -> Camera {

@@ -8,7 +8,7 @@ use super::masks::IdImage;
 use super::masks::rgbd::RgbdMasks;
 use super::outline::Outline;
 use super::visibility::{FramePoint, Visibility};
-use super::{ParseError, instances};
+use super::{ParseError, frame_sampling, instances};
 use crate::geometry::boxes::Aabb;
 use crate::geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap, typical_spacing_m};
 use crate::geometry::{Point3, Vector3};
@@ -91,7 +91,9 @@ impl Pointing<'_> {
             }
         }
         let Some(least) = options.iter().map(|option| &option.seed).min_by_key(|seed| seed.len()) else { return Ok(None) };
-        let further = self.further(least, place.frame, &visibility)?;
+        // As many as stage 1 looked at: somebody waits.
+        let frames = frame_sampling::sample(self.frames, &self.settings.frame_sampling);
+        let further = self.further(&frames, least, place.frame, &visibility)?;
         let mut best: Option<(f32, Votes, &Meant)> = None;
         for option in &options {
             let mut votes = Votes { seen: vec![0; self.cloud.len()], inside: vec![0; self.cloud.len()] };
@@ -109,7 +111,7 @@ impl Pointing<'_> {
         if points.len() < LEAST_POINTS {
             return Ok(None);
         }
-        let views = self.views_of(&points)?;
+        let views = self.views_of(&frames, &points)?;
         Ok(Some(Instance { views, ..instances::of_points(self.cloud, &points, known, &self.settings.instances) }))
     }
 
@@ -137,7 +139,8 @@ impl Pointing<'_> {
             (Cut::Images(images), _) => {
                 let masks = images
                     .iter()
-                    .filter_map(|ids| Some(Mask::Cut { ids: ids.clone(), id: nearest_mask(ids, &looked.frame, at)? }));
+                    .enumerate()
+                    .filter_map(|(level, ids)| Some(Mask::Cut { level, id: nearest_mask(ids, &looked.frame, at)? }));
                 Ok(masks.map(|mask| (mask, 1.0)).collect())
             }
             (Cut::Encoded(_), None) => Ok(Vec::new()),
@@ -145,9 +148,9 @@ impl Pointing<'_> {
     }
 
     /// The frames that see most of these points, but for the one they were found in, best first.
-    fn further(&self, seed: &[u32], but: FrameIndex, visibility: &Visibility) -> Result<Vec<Looked>, ParseError> {
+    fn further(&self, frames: &[FrameRef], seed: &[u32], but: FrameIndex, visibility: &Visibility) -> Result<Vec<Looked>, ParseError> {
         let of_seed = Subset::of(self.cloud, seed);
-        let others: Vec<FrameRef> = self.frames.iter().filter(|frame| frame.index != but && of_seed.may_be_in(frame)).cloned().collect();
+        let others: Vec<FrameRef> = frames.iter().filter(|frame| frame.index != but && of_seed.may_be_in(frame)).cloned().collect();
         let mut seeing = Vec::new();
         stream_frames(
             &others,
@@ -188,8 +191,8 @@ impl Pointing<'_> {
             let Some(middle) = medoid(&pixels) else { continue };
             let mut best: Option<(f32, Mask)> = None;
             for (mask, _) in self.masks_at(looked, middle)? {
-                let held = own.iter().filter(|point| mask.holds(&looked.frame, point)).count();
-                let wrong = looked.seen.iter().filter(|point| is_other(point) && mask.holds(&looked.frame, point)).count();
+                let held = own.iter().filter(|point| mask.holds(looked, point)).count();
+                let wrong = looked.seen.iter().filter(|point| is_other(point) && mask.holds(looked, point)).count();
                 let iou = held as f32 / (own.len() + wrong).max(1) as f32;
                 if best.as_ref().is_none_or(|(so_far, _)| iou > *so_far) {
                     best = Some((iou, mask));
@@ -235,9 +238,9 @@ impl Pointing<'_> {
     }
 
     /// The frames that show most of these points.
-    fn views_of(&self, points: &[u32]) -> Result<Vec<View>, ParseError> {
+    fn views_of(&self, frames: &[FrameRef], points: &[u32]) -> Result<Vec<View>, ParseError> {
         let of_thing = Subset::of(self.cloud, points);
-        let frames: Vec<FrameRef> = self.frames.iter().filter(|frame| of_thing.may_be_in(frame)).cloned().collect();
+        let frames: Vec<FrameRef> = frames.iter().filter(|frame| of_thing.may_be_in(frame)).cloned().collect();
         let mut views = Vec::new();
         stream_frames(
             &frames,
@@ -276,7 +279,7 @@ enum Cut {
 impl Looked {
     /// The points of the cloud under a mask.
     fn under(&self, mask: &Mask) -> Vec<u32> {
-        self.seen.iter().filter(|point| mask.holds(&self.frame, point)).map(|point| point.point).collect()
+        self.seen.iter().filter(|point| mask.holds(self, point)).map(|point| point.point).collect()
     }
 }
 
@@ -290,17 +293,21 @@ struct Meant {
 
 /// What was cut out of a frame.
 enum Mask {
-    /// One of the built-in masks, on the depth image.
-    Cut { ids: IdImage, id: u16 },
+    /// One of the frame's built-in masks, on its depth image.
+    Cut { level: usize, id: u16 },
     /// A segmenter's, over the colour picture.
     Decoded { mask: LowMask, scale: (f32, f32), threshold: f32 },
 }
 
 impl Mask {
-    fn holds(&self, frame: &Frame, point: &FramePoint) -> bool {
-        match self {
-            Self::Cut { ids, id } => ids.at(point.cell) == *id,
-            Self::Decoded { mask, scale, threshold } => colour_pixel(frame, point).is_some_and(|at| mask.at(at, *scale) > *threshold),
+    /// Whether it covers a point that its frame shows.
+    fn holds(&self, looked: &Looked, point: &FramePoint) -> bool {
+        match (self, &looked.cut) {
+            (Self::Cut { level, id }, Cut::Images(images)) => images[*level].at(point.cell) == *id,
+            (Self::Cut { .. }, Cut::Encoded(_)) => false,
+            (Self::Decoded { mask, scale, threshold }, _) => {
+                colour_pixel(&looked.frame, point).is_some_and(|at| mask.at(at, *scale) > *threshold)
+            }
         }
     }
 }
@@ -315,7 +322,7 @@ impl Votes {
     fn count(&mut self, looked: &Looked, mask: &Mask) {
         for point in &looked.seen {
             self.seen[point.point as usize] += 1;
-            self.inside[point.point as usize] += u8::from(mask.holds(&looked.frame, point));
+            self.inside[point.point as usize] += u8::from(mask.holds(looked, point));
         }
     }
 

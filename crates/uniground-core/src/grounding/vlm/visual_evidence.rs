@@ -75,7 +75,8 @@ pub fn collect<S: SceneSource>(source: &S, context: &PromptContext, settings: &P
         Global::Views(view) => format!("{scene} {view:?} {:?}", context.subjects()),
         Global::Raw => format!("{scene} raw"),
     };
-    let key = |id: u32| format!("{scene} {id} {:?}", settings.collage);
+    // By the box as well: what was found for one question alone may have the id of what another found.
+    let key = |id: u32| format!("{scene} {id} {:?} {:?}", context.boxes.get(id as usize - 1), settings.collage);
     let mut evidence = VisualEvidence { global: cache.globals.get(&key_of_global), ..VisualEvidence::default() };
     let mut missing = Vec::new();
     for id in context.shown() {
