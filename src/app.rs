@@ -2,7 +2,7 @@
 
 use crate::chat::{ChatClient, ReplayCache};
 use crate::config::{ChosenModels, ServeConfig};
-use crate::http::{self, AllowedHosts, App, MAX_EVENT_STREAMS};
+use crate::http::{self, AllowedHosts, App, MAX_EVENT_STREAMS, Origins};
 use crate::inference::Probe;
 use crate::jobs::{JobKind, Jobs};
 use crate::metrics::Metrics;
@@ -39,7 +39,10 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     let store = Store::open(&config.data_dir)
         .await
         .with_context(|| format!("the data folder {}", config.data_dir))?;
-    let keys = Keyring::open(store.clone(), api_key.as_deref()).await?;
+    let mut keys = Keyring::open(store.clone(), api_key.as_deref()).await?;
+    if let Some(secret) = config.access.link_secret()? {
+        keys = keys.with_link_secret(secret);
+    }
     ensure!(
         keys.is_wanted() || !config.wants_keys(),
         "{} can be reached from other machines: make a key (uniground key create), set UNIGROUND_API_KEY or --api-key-file, or say --allow-anybody",
@@ -90,6 +93,7 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         shutdown: shutdown.clone(),
         metrics: metrics.clone(),
         allowed_hosts: is_private.then(|| Arc::new(AllowedHosts::new(&config.access.allowed_hosts))),
+        origins: Origins::new(&config.access.cors_origins).context("--cors-origin")?,
         event_streams: Arc::new(Semaphore::new(MAX_EVENT_STREAMS)),
     };
     let most = most_connections(config.limits.max_connections);

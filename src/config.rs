@@ -11,7 +11,7 @@ pub use registries::registries;
 pub use retention::RetentionConfig;
 
 use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
-use crate::service::{Limits, WhenNamed};
+use crate::service::{Limits, LinkSecret, WhenNamed};
 use crate::telemetry;
 use crate::webhook::Webhook;
 use anyhow::{Context, bail, ensure};
@@ -72,6 +72,29 @@ pub struct AccessConfig {
     /// Another name this server may be called by without a key, besides localhost; may be given several times, or with commas
     #[arg(long = "allowed-host", env = "UNIGROUND_ALLOWED_HOSTS", value_name = "HOST", value_delimiter = ',')]
     pub allowed_hosts: Vec<String>,
+    /// Origin whose pages may use this server from a browser, like <https://robots.example>; may be given several times, or with commas
+    #[arg(long = "cors-origin", env = "UNIGROUND_CORS_ORIGINS", value_name = "ORIGIN", value_delimiter = ',')]
+    pub cors_origins: Vec<String>,
+    /// File that holds what links without a key are signed with (or the secret itself in UNIGROUND_LINK_SECRET); default: a new one at each start
+    #[arg(long, env = "UNIGROUND_LINK_SECRET_FILE", value_name = "FILE")]
+    pub link_secret_file: Option<Utf8PathBuf>,
+}
+
+impl AccessConfig {
+    /// What links are signed with, if that is given.
+    ///
+    /// # Errors
+    /// When it can not be read, or is too short to protect anything.
+    pub fn link_secret(&self) -> anyhow::Result<Option<LinkSecret>> {
+        let secret = match &self.link_secret_file {
+            Some(file) => Some(fs::read_to_string(file).with_context(|| format!("the secret's file {file}"))?),
+            None => std::env::var("UNIGROUND_LINK_SECRET").ok(),
+        };
+        let Some(secret) = secret.map(|secret| secret.trim().to_owned()) else { return Ok(None) };
+        ensure!(secret.len() >= MIN_KEY_BYTES, "the links' secret is too short: at least {MIN_KEY_BYTES} characters");
+        telemetry::hide(&secret);
+        Ok(Some(LinkSecret::new(secret.as_bytes())))
+    }
 }
 
 /// A server that is told when jobs end, as Standard Webhooks have it. The secret is in UNIGROUND_WEBHOOK_SECRET or in a file.

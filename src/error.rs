@@ -28,6 +28,8 @@ pub enum Error {
     InstanceNotFound { scene_id: String, id: InstanceId },
     #[error("instance {id} has {views} views, numbered from 0; there is no view {view}")]
     ViewNotFound { id: InstanceId, view: u32, views: usize },
+    #[error("the scan has no photograph {index}; its frames tell which there are")]
+    FrameNotFound { index: u32 },
     #[error("the parse report has no picture {name:?}")]
     ReportPictureNotFound { name: String },
     #[error("scene {scene_id} was parsed without an encoder and has no embeddings")]
@@ -40,6 +42,16 @@ pub enum Error {
     KeyRefused,
     #[error("this key may have {most} scenes and has them: delete one, or ask for more")]
     TooManyScenes { most: u32 },
+    #[error("there is no correction {id} of this scene's current parse")]
+    CorrectionNotFound { id: String },
+    #[error("correction {by} is about what this one has made: take that one back first")]
+    CorrectionInUse { by: String },
+    #[error("instance {id} is no thing whose points are known, but a part, a whole, found for a question, or gone: it can not be merged")]
+    NotAThing { id: InstanceId },
+    #[error("no parts of instance {id} are known, so that nothing would take its place: dismiss it, or parse the scene with finer settings")]
+    NoParts { id: InstanceId },
+    #[error("a parse has at most {most} corrections")]
+    TooManyCorrections { most: u32 },
     #[error("there is no batch {id}")]
     BatchNotFound { id: String },
     #[error("batch {id} is {state} and stays so")]
@@ -230,6 +242,12 @@ impl Error {
             Self::ReportPictureNotFound { .. } => "report_picture_not_found",
             Self::NoEmbeddings { .. } => "no_embeddings",
             Self::AnswerNotFound { .. } => "answer_not_found",
+            Self::FrameNotFound { .. } => "frame_not_found",
+            Self::CorrectionNotFound { .. } => "correction_not_found",
+            Self::CorrectionInUse { .. } => "correction_in_use",
+            Self::NotAThing { .. } => "not_a_thing",
+            Self::NoParts { .. } => "no_parts",
+            Self::TooManyCorrections { .. } => "too_many_corrections",
             Self::BatchNotFound { .. } => "batch_not_found",
             Self::KeyNotFound { .. } => "key_not_found",
             Self::KeyRefused => "key_refused",

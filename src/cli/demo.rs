@@ -3,6 +3,7 @@
 use super::table;
 use crate::app;
 use crate::config::{AccessConfig, BUILTIN, BundlesConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig};
+use crate::sample::LIVING_ROOM;
 use crate::telemetry;
 use anyhow::{Context, bail};
 use camino::{Utf8Path, Utf8PathBuf};
@@ -44,7 +45,6 @@ pub struct DemoArgs {
 /// One unique object, one attribute, one relation, and one that is not in the room.
 const QUESTIONS: [&str; 4] = ["find the coffee table", "the orange stool", "the mug on the coffee table", "the green fridge"];
 /// The sample scene: the demo runs from any folder.
-const SAMPLE: &[u8] = include_bytes!("../../examples/living_room.zip");
 /// How the same goes with models.
 const WITH_MODELS: &str = "With two small networks more is found, in minutes instead of seconds:\n  uniground models fetch && uniground demo --masks auto --encoder auto";
 /// How many of the found objects are listed.
@@ -102,7 +102,7 @@ async fn show(args: &DemoArgs, client: &Client) -> anyhow::Result<()> {
 
 async fn upload(client: &Client, archive: Option<&Utf8Path>) -> anyhow::Result<Scene> {
     let (name, kind, bytes) = match archive {
-        None => ("the sample scene", ArchiveKind::Zip, SAMPLE.to_vec()),
+        None => ("the sample scene", ArchiveKind::Zip, LIVING_ROOM.to_vec()),
         Some(file) => {
             let kind = ArchiveKind::of_file_name(file.as_str()).with_context(|| format!("{file}: expected .zip, .tar or .tar.zst"))?;
             (file.as_str(), kind, fs::read(file).with_context(|| file.to_string())?)

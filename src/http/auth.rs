@@ -2,23 +2,34 @@
 
 use super::problem::{Refused, request_id};
 use super::{App, Scopes};
-use crate::service::{Allowance, Caller, Denied, Done};
+use crate::service::{Allowance, Caller, Denied, Done, LINK_PARAMETER};
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use jiff::Timestamp;
 use uniground_types::keys::Scope;
 use utoipa::Modify;
 use utoipa::openapi::security::{Http, HttpAuthScheme, SecurityScheme};
 
 /// As in the draft standard "`RateLimit` header fields for HTTP".
-const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
-const RATE_LIMIT_POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
+pub(super) const RATE_LIMIT: HeaderName = HeaderName::from_static("ratelimit");
+pub(super) const RATE_LIMIT_POLICY: HeaderName = HeaderName::from_static("ratelimit-policy");
 
 /// Lets a request past whose caller may do what its route does, and writes down what changed something.
 pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> Response {
     let Some(wanted) = app.scopes.wanted_by(&request) else { return next.run(request).await };
-    let caller = match app.service.keys.caller(bearer(request.headers())) {
+    // A link stands in for a key where there is none.
+    let link = match bearer(request.headers()) {
+        None => take_link(request.uri_mut()),
+        Some(_) => None,
+    };
+    let keys = &app.service.keys;
+    let caller = match &link {
+        Some(link) => keys.caller_of_link(link, request.uri().path(), Timestamp::now()),
+        None => keys.caller(bearer(request.headers())),
+    };
+    let caller = match caller {
         Ok(caller) => caller,
         Err(denied) => return unauthorized(denied),
     };
@@ -50,6 +61,17 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     limited(response, allowance)
 }
 
+/// What makes a link work; the rest of the query stays.
+fn take_link(uri: &mut Uri) -> Option<String> {
+    let query = uri.query()?;
+    let is_link = |pair: &&str| pair.split_once('=').is_some_and(|(name, _)| name == LINK_PARAMETER);
+    let link = query.split('&').find(is_link)?.split_once('=')?.1.to_owned();
+    let rest: Vec<&str> = query.split('&').filter(|pair| !is_link(pair)).collect();
+    let path = if rest.is_empty() { uri.path().to_owned() } else { format!("{}?{}", uri.path(), rest.join("&")) };
+    *uri = path.parse().ok()?;
+    Some(link)
+}
+
 /// The token somebody shows.
 fn bearer(headers: &HeaderMap) -> Option<&str> {
     let shown = headers.get(header::AUTHORIZATION)?.to_str().ok()?;
@@ -62,6 +84,8 @@ fn unauthorized(denied: Denied) -> Response {
         Denied::NoKey | Denied::UnknownKey => "this server wants a key: Authorization: Bearer <key>",
         Denied::Expired => "this key has expired",
         Denied::Revoked => "this key was revoked",
+        Denied::BadLink => "this link is none of this server's, or not to this path",
+        Denied::LinkOver => "the time of this link is over: POST /v1/links makes another",
     };
     let mut refused = Refused::new(StatusCode::UNAUTHORIZED, "unauthorized", detail).into_response();
     refused.headers_mut().insert(header::WWW_AUTHENTICATE, HeaderValue::from_static("Bearer"));

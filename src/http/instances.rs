@@ -3,13 +3,12 @@
 use super::App;
 use super::Binary;
 use super::extract::{Path, Query};
+use super::looks::send_picture;
 use super::problem::Refused;
-use super::scenes::send_file;
-use crate::service::EvidenceFile;
 use axum::Json;
 use axum::extract::State;
-use axum::http::{StatusCode, header};
-use axum::response::{IntoResponse, Response};
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::Response;
 use serde::Deserialize;
 use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture};
 use uniground_types::problem::Problem;
@@ -106,12 +105,10 @@ pub async fn view(
     State(app): State<App>,
     Path((scene_id, instance_id, view)): Path<(String, u32, String)>,
     Query(ViewParameters { picture }): Query<ViewParameters>,
+    asked: HeaderMap,
 ) -> Result<Response, Refused> {
     let number = view.strip_suffix(".jpg").and_then(|k| k.parse().ok());
     let number = number
         .ok_or_else(|| Refused::new(StatusCode::NOT_FOUND, "view_not_found", format!("views are 0.jpg, 1.jpg, ...; not {view:?}")))?;
-    match app.service.view_picture(&scene_id, InstanceId(instance_id), number, picture).await? {
-        EvidenceFile::Stored(file) => send_file(&file, "image/jpeg").await,
-        EvidenceFile::Drawn(jpeg) => Ok(([(header::CONTENT_TYPE, "image/jpeg")], jpeg).into_response()),
-    }
+    send_picture(app.service.view_picture(&scene_id, InstanceId(instance_id), number, picture).await?, &asked).await
 }

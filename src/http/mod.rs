@@ -3,7 +3,10 @@
 mod answers;
 mod auth;
 mod batches;
+mod caching;
 mod connections;
+mod corrections;
+mod description;
 mod extract;
 mod grounding;
 mod health;
@@ -11,6 +14,9 @@ mod hosts;
 mod instances;
 mod jobs;
 mod keys;
+mod links;
+mod looks;
+mod origins;
 mod page;
 mod paging;
 mod problem;
@@ -20,9 +26,11 @@ mod scopes;
 mod stats;
 
 pub use auth::scopes;
-use auth::{Asking, BearerAuth};
+use auth::Asking;
+use description::Description;
 pub use connections::serve;
 pub use hosts::AllowedHosts;
+pub use origins::Origins;
 use problem::Refused;
 pub use scopes::Scopes;
 
@@ -32,13 +40,17 @@ use crate::trace_context;
 use axum::extract::{MatchedPath, Request};
 use axum::http::{HeaderName, HeaderValue, header};
 use axum::response::{IntoResponse, Response};
+use axum::middleware::map_response;
 use axum::{Router, middleware};
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tower::util::MapRequestLayer;
+use tower_http::CompressionLevel;
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::compression::CompressionLayer;
+use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Predicate};
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
 use tower_http::timeout::RequestBodyTimeoutLayer;
@@ -61,33 +73,14 @@ pub struct App {
     pub metrics: Arc<Metrics>,
     /// By which names this server may be called; any, where not set.
     pub allowed_hosts: Option<Arc<AllowedHosts>>,
+    /// Pages of which origins may use this server.
+    pub origins: Origins,
     /// One for each event stream that may be open.
     pub event_streams: Arc<Semaphore>,
 }
 
 /// Event streams open at once.
 pub const MAX_EVENT_STREAMS: usize = 256;
-
-#[derive(OpenApi)]
-#[openapi(
-    info(
-        title = "uniground",
-        description = "3D visual grounding as a service: upload a scan of a room, ask in plain words, get the object's 3D box. \
-            Lengths are metres in a right-handed world with Z up; boxes are centre and full extent. \
-            Errors are RFC 9457 problem details with a stable `code`."
-    ),
-    tags(
-        (name = "scenes", description = "Scans and their parses"),
-        (name = "instances", description = "Objects found in a scene"),
-        (name = "grounding", description = "Questions and answers"),
-        (name = "batches", description = "Lists of questions, asked in the background"),
-        (name = "jobs", description = "Work in the background"),
-        (name = "keys", description = "Who may ask, and what was done"),
-        (name = "service", description = "Health and numbers")
-    ),
-    modifiers(&BearerAuth)
-)]
-struct Description;
 
 /// Bytes: a file as it is.
 #[derive(utoipa::ToSchema)]
@@ -100,18 +93,25 @@ const REQUEST_ID: HeaderName = HeaderName::from_static("x-request-id");
 fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(scenes::create, scenes::list))
+        .routes(routes!(scenes::create_sample))
         .routes(routes!(scenes::get, scenes::rename, scenes::delete))
         .routes(routes!(scenes::parse))
         .routes(routes!(scenes::name))
         .routes(routes!(scenes::cloud))
         .routes(routes!(scenes::instances_cloud))
         .routes(routes!(scenes::embeddings))
-        .routes(routes!(scenes::frames))
+        .routes(routes!(looks::points))
+        .routes(routes!(looks::thumbnail))
+        .routes(routes!(looks::frames))
+        .routes(routes!(looks::photograph))
         .routes(routes!(reports::get))
         .routes(routes!(reports::picture))
         .routes(routes!(instances::list))
         .routes(routes!(instances::get))
         .routes(routes!(instances::view))
+        .routes(routes!(corrections::create, corrections::list))
+        .routes(routes!(corrections::undo))
+        .routes(routes!(corrections::annotations))
         .routes(routes!(jobs::list))
         .routes(routes!(jobs::get, jobs::cancel))
         .routes(routes!(jobs::events))
@@ -131,6 +131,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(keys::create, keys::list))
         .routes(routes!(keys::revoke))
         .routes(routes!(keys::audit))
+        .routes(routes!(links::create))
         .routes(routes!(stats::stats))
         .routes(routes!(stats::metrics))
         .routes(routes!(health::models))
@@ -141,17 +142,25 @@ fn routes() -> OpenApiRouter<App> {
 /// The OpenAPI description, as served at `/openapi.json`.
 #[must_use]
 pub fn openapi() -> utoipa::openapi::OpenApi {
-    routes().into_openapi()
+    described().1
+}
+
+/// The routes, and what is said of them.
+fn described() -> (Router<App>, utoipa::openapi::OpenApi) {
+    let (router, mut openapi) = routes().split_for_parts();
+    description::complete(&mut openapi);
+    (router, openapi)
 }
 
 /// The whole application.
 pub fn router(app: App) -> Router {
-    let (router, openapi) = routes().split_for_parts();
+    let (router, openapi) = described();
     // Nobody outside is asked whether the description is valid.
     let description = SwaggerUi::new("/docs")
         .url("/openapi.json", openapi)
         .config(Config::default().validator_url("none"));
     router
+        .layer(middleware::from_fn(caching::mark))
         .layer(middleware::from_fn_with_state(app.clone(), auth::check))
         .with_state(app.clone())
         // Health, the description and the pages are open to everybody: the key protects scans and questions.
@@ -159,9 +168,13 @@ pub fn router(app: App) -> Router {
         .merge(page::router())
         .fallback(problem::no_such_route)
         .method_not_allowed_fallback(problem::method_not_allowed)
+        .layer(app.origins.protection())
+        .layer(app.origins.cors())
         .layer(middleware::from_fn_with_state(app.clone(), hosts::check))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(problem::name_request))
+        .layer(CompressionLayer::new().quality(CompressionLevel::Fastest).compress_when(worth_compressing()))
+        .layer(map_response(caching::weaken))
         .layer(always(header::X_CONTENT_TYPE_OPTIONS, "nosniff"))
         .layer(always(header::X_FRAME_OPTIONS, "DENY"))
         .layer(always(header::REFERRER_POLICY, "no-referrer"))
@@ -180,6 +193,13 @@ pub fn router(app: App) -> Router {
         .layer(SetRequestIdLayer::new(REQUEST_ID, MakeRequestUuid))
         .layer(middleware::from_fn_with_state(app, stats::count))
         .layer(MapRequestLayer::new(without_odd_id))
+}
+
+/// Pictures are compressed already; lists that are read while they grow would wait for a whole block.
+fn worth_compressing() -> impl Predicate {
+    DefaultPredicate::new()
+        .and(NotForContentType::const_new("application/jsonl"))
+        .and(NotForContentType::const_new("text/csv"))
 }
 
 /// A body that says nothing for so long is given up.

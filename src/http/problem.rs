@@ -140,11 +140,18 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::AnswerNotFound { .. }
         | Error::BatchNotFound { .. }
         | Error::KeyNotFound { .. }
+        | Error::CorrectionNotFound { .. }
+        | Error::FrameNotFound { .. }
         | Error::NoTranscript { .. }
         | Error::AnswerPictureNotFound { .. } => StatusCode::NOT_FOUND,
-        Error::VlmNotConfigured | Error::SceneNotReady { .. } | Error::EncoderChanged { .. } | Error::BatchOver { .. } => {
-            StatusCode::CONFLICT
-        }
+        Error::VlmNotConfigured
+        | Error::SceneNotReady { .. }
+        | Error::EncoderChanged { .. }
+        | Error::BatchOver { .. }
+        | Error::CorrectionInUse { .. }
+        | Error::NotAThing { .. }
+        | Error::NoParts { .. }
+        | Error::TooManyCorrections { .. } => StatusCode::CONFLICT,
         Error::VlmFailed { .. } | Error::Model(_) => StatusCode::BAD_GATEWAY,
         Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
         Error::TooManyScenes { .. } | Error::KeyRefused => StatusCode::FORBIDDEN,

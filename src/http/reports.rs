@@ -2,12 +2,13 @@
 
 use super::App;
 use super::Binary;
+use super::caching::send_file;
 use super::extract::Path;
 use super::problem::Refused;
-use super::scenes::send_file;
 use crate::error::Error;
 use axum::Json;
 use axum::extract::State;
+use axum::http::HeaderMap;
 use axum::response::Response;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::SceneReport;
@@ -41,8 +42,12 @@ pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn picture(State(app): State<App>, Path((scene_id, picture)): Path<(String, String)>) -> Result<Response, Refused> {
+pub async fn picture(
+    State(app): State<App>,
+    Path((scene_id, picture)): Path<(String, String)>,
+    asked: HeaderMap,
+) -> Result<Response, Refused> {
     let name = picture.strip_suffix(".jpg").ok_or_else(|| Error::ReportPictureNotFound { name: picture.clone() })?;
     let file = app.service.report_picture(&scene_id, name).await?;
-    send_file(&file, "image/jpeg").await
+    send_file(&file, "image/jpeg", &asked).await
 }

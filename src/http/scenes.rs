@@ -1,6 +1,7 @@
 //! `/v1/scenes`
 
 use super::Binary;
+use super::caching::send_file;
 use super::extract::{Json, Path, Query};
 use super::paging::Page;
 use super::problem::Refused;
@@ -8,18 +9,13 @@ use super::{App, Asking};
 use crate::jobs::Job;
 use crate::service::{NewScene, ParseFile};
 use axum::Extension;
-use axum::body::Body;
 use axum::extract::{Request, State};
-use axum::http::{HeaderMap, StatusCode, header};
-use axum::response::{IntoResponse, Response};
-use camino::Utf8Path;
+use axum::http::{HeaderMap, StatusCode};
+use axum::response::Response;
 use serde::Deserialize;
-use tokio::fs::File;
-use tokio_util::io::ReaderStream;
 use uniground_core::ingest::archive::ArchiveKind;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::problem::Problem;
-use uniground_types::scene::FrameList;
 use uniground_types::scenes::{Created, ParseRequest, Rename, Scene, SceneList};
 use uniground_types::settings::{ParsePreset, ParseSettings};
 use utoipa::IntoParams;
@@ -94,7 +90,23 @@ pub async fn create(
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
-/// Lists scenes, newest first.
+/// Makes a scene of the living room this program carries, and parses it: something to ask about at once.
+#[utoipa::path(
+    post, path = "/v1/scenes/sample", operation_id = "create_sample_scene", tag = "scenes",
+    responses(
+        (status = 202, body = Created),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["write"]), ())
+)]
+pub async fn create_sample(State(app): State<App>, Extension(caller): Asking) -> Result<(StatusCode, axum::Json<Created>), Refused> {
+    let (scene, job) = app.service.create_sample(&caller).await?;
+    Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
+}
+
+/// Lists scenes, newest first, without their settings and reports.
 #[utoipa::path(
     get, path = "/v1/scenes", operation_id = "list_scenes", tag = "scenes", params(Page),
     responses(
@@ -226,9 +238,9 @@ pub async fn name(
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Refused> {
+pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Cloud).await?;
-    send_file(&file, "application/octet-stream").await
+    send_file(&file, "application/octet-stream", &asked).await
 }
 
 /// The cloud coloured by instance, PLY; each point carries its instance id.
@@ -243,9 +255,9 @@ pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Resu
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Refused> {
+pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Instances).await?;
-    send_file(&file, "application/octet-stream").await
+    send_file(&file, "application/octet-stream", &asked).await
 }
 
 /// What the instances look like: a numpy array of half floats, one unit vector per instance in order of id, zero for those no frame
@@ -261,31 +273,7 @@ pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn embeddings(State(app): State<App>, Path(scene_id): Path<String>) -> Result<Response, Refused> {
+pub async fn embeddings(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Embeddings).await?;
-    send_file(&file, "application/octet-stream").await
-}
-
-/// The photographs of a scan: where each was taken from, and with what camera.
-#[utoipa::path(
-    get, path = "/v1/scenes/{scene_id}/frames", operation_id = "list_frames", tag = "scenes", params(("scene_id" = String, Path)),
-    responses(
-        (status = 200, body = FrameList),
-        (status = 401, body = Problem, content_type = "application/problem+json"),
-        (status = 404, body = Problem, content_type = "application/problem+json"),
-        (status = 409, body = Problem, content_type = "application/problem+json"),
-        (status = 429, body = Problem, content_type = "application/problem+json"),
-    ),
-    security(("key" = ["read"]), ())
-)]
-pub async fn frames(State(app): State<App>, Path(scene_id): Path<String>) -> Result<axum::Json<FrameList>, Refused> {
-    Ok(axum::Json(app.service.frames(&scene_id).await?))
-}
-
-/// Streams a stored file.
-pub(super) async fn send_file(path: &Utf8Path, media_type: &'static str) -> Result<Response, Refused> {
-    let file = File::open(path).await.map_err(crate::error::Error::Io)?;
-    let length = file.metadata().await.map_err(crate::error::Error::Io)?.len();
-    let headers = [(header::CONTENT_TYPE, media_type.to_owned()), (header::CONTENT_LENGTH, length.to_string())];
-    Ok((headers, Body::from_stream(ReaderStream::new(file))).into_response())
+    send_file(&file, "application/octet-stream", &asked).await
 }

@@ -6,6 +6,7 @@
 mod announcing;
 mod answers;
 mod batches;
+mod corrections;
 mod doctor;
 mod health;
 mod housekeeping;
@@ -21,10 +22,11 @@ mod vlm;
 
 pub use answers::{LineFormat, usage};
 pub use batches::{BatchJob, Body, Results, Submission};
+pub use corrections::GroundTruth;
 pub use doctor::{Finding, Trouble};
 pub use health::Health;
 pub use instances::EvidenceFile;
-pub use keys::{Allowance, Caller, Denied, Done, Keyring};
+pub use keys::{Allowance, Caller, Denied, Done, Keyring, LINK_PARAMETER, LinkSecret};
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};
 pub use retention::{Beside, Removed};

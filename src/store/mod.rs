@@ -10,6 +10,7 @@ mod batches;
 mod blobs;
 mod contents;
 mod copy;
+mod corrections;
 mod data_folder;
 mod figures;
 mod health;
@@ -28,6 +29,7 @@ pub use answers::{AnswerFilter, AnswerRow, NewAnswer};
 pub use backup::{BackedUp, BackupError, Restored, Source, Target, back_up, check, restore};
 pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, Resumed, Submitted};
 pub use blobs::{Blobs, Damage, KeptCheckpoints, Look, Measured, Scratch, size_of};
+pub use corrections::NewCorrection;
 pub use figures::{Figures, JobFigures};
 pub use health::StoreHealth;
 pub use jobs::{JobFilter, JobRow, JobState, NewJob, Recovery};
@@ -187,6 +189,7 @@ impl Store {
         let newest = "SELECT max(id) FROM (SELECT max(id) AS id FROM scenes UNION ALL SELECT max(id) FROM jobs
                       UNION ALL SELECT max(id) FROM answers UNION ALL SELECT max(id) FROM parses
                       UNION ALL SELECT max(id) FROM batches
+                      UNION ALL SELECT max(id) FROM corrections
                       UNION ALL SELECT max(id) FROM keys UNION ALL SELECT max(id) FROM audit)";
         let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
         let answers = AnswerQueue::start(writer.clone());
@@ -243,7 +246,7 @@ impl Store {
 }
 
 /// What brings a database of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 8] = [
+const MIGRATIONS: [(i64, &str, &str); 9] = [
     (1, "scenes parses jobs answers", include_str!("../../migrations/0001_scenes_parses_jobs_answers.sql")),
     (2, "instance names spending", include_str!("../../migrations/0002_instance_names_spending.sql")),
     (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
@@ -252,6 +255,7 @@ const MIGRATIONS: [(i64, &str, &str); 8] = [
     (6, "keys audit lists webhooks", include_str!("../../migrations/0006_keys_audit_lists_webhooks.sql")),
     (7, "superseded parses", include_str!("../../migrations/0007_superseded_parses.sql")),
     (8, "name indexes", include_str!("../../migrations/0008_name_indexes.sql")),
+    (9, "corrections", include_str!("../../migrations/0009_corrections.sql")),
 ];
 
 fn migrations() -> Migrator {

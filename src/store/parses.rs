@@ -3,7 +3,7 @@
 use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
 use super::{SceneRow, Store, StoreError, now};
 use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row};
+use sqlx::{FromRow, Row, SqliteConnection};
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::scene::{ImportReport, Instance, InstanceId, ParseReport};
 use uniground_core::scene_parsing::pointed::known_as;
@@ -74,10 +74,6 @@ impl Store {
     /// [`StoreError`].
     pub async fn insert_parse(&self, parse: NewParse<'_>) -> Result<bool, StoreError> {
         let NewParse { id, content_hash, settings_hash, settings, models, import, report, extent, instances } = parse;
-        let bodies = instances
-            .iter()
-            .map(|i| Ok((i.id.0, serde_json::to_string(&InstanceRecord::from(i))?)))
-            .collect::<Result<Vec<_>, StoreError>>()?;
         let mut tx = self.writer.begin().await?;
         let inserted = sqlx::query(
             "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at,
@@ -100,14 +96,8 @@ impl Store {
             tx.forget().await?;
             return Ok(false);
         }
-        for (instance, body) in bodies {
-            sqlx::query("INSERT INTO instances (parse_id, id, body, record_version) VALUES (?, ?, ?, ?)")
-                .bind(id)
-                .bind(instance)
-                .bind(body)
-                .bind(RECORD_VERSION)
-                .execute(&mut *tx)
-                .await?;
+        for instance in instances {
+            insert_instance(&mut tx, id, instance).await?;
         }
         tx.commit().await?;
         Ok(true)
@@ -189,23 +179,20 @@ impl Store {
             tx.forget().await?;
             return Ok(known);
         };
-        let body = serde_json::to_string(&InstanceRecord::from(&Instance { id, ..found.clone() }))?;
-        sqlx::query("INSERT INTO instances (parse_id, id, body, record_version) VALUES (?, ?, ?, ?)")
-            .bind(parse_id)
-            .bind(id.0)
-            .bind(body)
-            .bind(RECORD_VERSION)
-            .execute(&mut *tx)
-            .await?;
+        insert_instance(&mut tx, parse_id, &Instance { id, ..found.clone() }).await?;
         tx.commit().await?;
         Ok(Some(id))
     }
+}
 
-    /// # Errors
-    /// [`StoreError`].
-    pub async fn instance(&self, parse_id: &str, id: InstanceId) -> Result<Option<Instance>, StoreError> {
-        let sql = "SELECT body FROM instances WHERE parse_id = ? AND id = ?";
-        let body: Option<String> = sqlx::query_scalar(sql).bind(parse_id).bind(id.0).fetch_optional(&self.reader).await?;
-        Ok(body.map(|body| serde_json::from_str::<InstanceRecord>(&body)).transpose()?.map(Instance::from))
-    }
+/// Writes one instance of a parse.
+pub(super) async fn insert_instance(tx: &mut SqliteConnection, parse_id: &str, instance: &Instance) -> Result<(), StoreError> {
+    sqlx::query("INSERT INTO instances (parse_id, id, body, record_version) VALUES (?, ?, ?, ?)")
+        .bind(parse_id)
+        .bind(instance.id.0)
+        .bind(serde_json::to_string(&InstanceRecord::from(instance))?)
+        .bind(RECORD_VERSION)
+        .execute(tx)
+        .await?;
+    Ok(())
 }

@@ -21,7 +21,7 @@ const PACKAGES: [(&str, Floors); 3] = [
             &["error"],
             &["jobs"],
             &["store"],
-            &["chat", "inference", "metrics", "packages", "webhook", "words"],
+            &["chat", "inference", "metrics", "packages", "sample", "webhook", "words"],
             &["trace_context"],
         ],
     ),
@@ -40,7 +40,7 @@ const PACKAGES: [(&str, Floors); 3] = [
         "crates/uniground-types/src",
         &[
             &["scenes", "instances", "service", "stats", "transcript", "batch", "keys"],
-            &["answer", "question", "settings", "job", "models"],
+            &["answer", "corrections", "links", "question", "settings", "job", "models"],
             &["scene", "problem"],
             &["geometry"],
         ],

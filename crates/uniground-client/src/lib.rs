@@ -23,9 +23,11 @@ use serde::de::DeserializeOwned;
 pub use uniground_types as types;
 use uniground_types::answer::{Answer, AnswerList, Shortlisted};
 use uniground_types::batch::{Batch, BatchList, BatchRequest, BatchResult};
+use uniground_types::corrections::{Change, Correction, CorrectionList};
 use uniground_types::instances::{InstanceList, InstanceView, Levels};
 use uniground_types::job::{Job, JobList};
 use uniground_types::keys::{AuditList, CreatedKey, Key, KeyList, NewKey};
+use uniground_types::links::{LinkList, LinkRequest};
 use uniground_types::problem::{FieldError, Problem};
 use uniground_types::question::{GroundRequest, ShortlistRequest};
 use uniground_types::scenes::{Created, Scene, SceneList, SceneReport};
@@ -180,6 +182,38 @@ impl Client {
                 return Ok(instances);
             }
         }
+    }
+
+    /// Corrects what a scene's current parse has found; answers from now on know it.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn correct(&self, scene_id: &str, change: &Change) -> Result<Correction, ClientError> {
+        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/corrections")).json(change)).await
+    }
+
+    /// What people have said of a scene's current parse, newest first.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn corrections(&self, scene_id: &str) -> Result<CorrectionList, ClientError> {
+        json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/corrections"))).await
+    }
+
+    /// Takes a correction back.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn undo_correction(&self, scene_id: &str, id: &str) -> Result<Correction, ClientError> {
+        json(self.request(Method::DELETE, &format!("v1/scenes/{scene_id}/corrections/{id}"))).await
+    }
+
+    /// Links that work without a key for a while.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn links(&self, request: &LinkRequest) -> Result<LinkList, ClientError> {
+        json(self.request(Method::POST, "v1/links").json(request)).await
     }
 
     /// # Errors

@@ -77,11 +77,20 @@ pub struct Seen {
 pub struct Alternative {
     /// Numbered from 1 within the parse the answer comes from.
     pub id: InstanceId,
+    /// What it is called, without regard to the question; empty in answers given before this was told.
+    #[serde(default)]
+    pub name: String,
     /// Share of the belief, `0..=1`.
     pub confidence: f32,
     /// Axis-aligned box, stray points left out; metres, world frame (Z up).
     #[serde(rename = "box")]
     pub aabb: Aabb,
+    /// Box turned about the vertical to fit it; absent in answers given before this was told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub oriented_box: Option<OrientedBox>,
+    /// Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service.
+    #[serde(default)]
+    pub view: Option<String>,
 }
 
 /// A thing the question means.
@@ -139,6 +148,9 @@ pub struct Timings {
 pub struct Candidate {
     /// Numbered from 1 within the parse; instances with more points come first.
     pub id: InstanceId,
+    /// What it is called, without regard to the question; empty in answers given before this was told.
+    #[serde(default)]
+    pub name: String,
     /// From 1.
     pub rank: u32,
     /// Fit to the question, `0..=1`.
@@ -146,6 +158,12 @@ pub struct Candidate {
     /// Axis-aligned box, stray points left out; metres, world frame (Z up).
     #[serde(rename = "box")]
     pub aabb: Aabb,
+    /// Box turned about the vertical to fit it; absent in answers given before this was told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub oriented_box: Option<OrientedBox>,
+    /// Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service.
+    #[serde(default)]
+    pub view: Option<String>,
 }
 
 /// Name and version of the parts an answer came from.

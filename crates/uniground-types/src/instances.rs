@@ -45,6 +45,15 @@ pub struct InstanceView {
     /// What the configured vision-language model calls it, without having heard a question; `null` until it was asked.
     #[serde(default)]
     pub model_name: Option<String>,
+    /// What somebody has said it is called; `null` where nobody has.
+    #[serde(default)]
+    pub given_name: Option<String>,
+    /// Somebody has said that it is no thing, or not one: no answer, and listed only with `level=all`.
+    #[serde(default)]
+    pub dismissed: bool,
+    /// The instances that somebody has said are one thing, this one; empty for what the parse has found.
+    #[serde(default)]
+    pub merged_from: Vec<InstanceId>,
     /// The question it was found for: a vision-language model saw it in a photograph, and it was no instance yet. `null` for what the
     /// parse has found.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -75,19 +84,20 @@ pub enum Levels {
     Parts,
     /// Several things that masks show as one.
     Wholes,
-    /// All of them.
+    /// All of them, those that were dismissed as well.
     All,
 }
 
 impl Levels {
-    /// Whether an instance of this level is listed.
+    /// Whether an instance of this level is listed; what was dismissed is only among all.
     #[must_use]
-    pub fn lists(self, level: Level) -> bool {
+    pub fn lists(self, level: Level, dismissed: bool) -> bool {
         match self {
+            Self::All => true,
+            _ if dismissed => false,
             Self::Things => level == Level::Thing,
             Self::Parts => level == Level::Part,
             Self::Wholes => level == Level::Whole,
-            Self::All => true,
         }
     }
 }

@@ -8,10 +8,12 @@
 
 pub mod answer;
 pub mod batch;
+pub mod corrections;
 pub mod geometry;
 pub mod instances;
 pub mod job;
 pub mod keys;
+pub mod links;
 pub mod models;
 pub mod problem;
 pub mod question;

@@ -55,9 +55,9 @@ pub struct Scene {
     pub extent: Option<Aabb>,
     /// What the importer found.
     pub import: Option<ImportReport>,
-    /// What stage 1 did.
+    /// What stage 1 did; `null` in lists.
     pub report: Option<ParseReport>,
-    /// Settings of the current parse, defaults filled in; `null` before the first.
+    /// Settings of the current parse, defaults filled in; `null` before the first, and in lists.
     pub settings: Option<ParseSettings>,
     /// Models of the current parse; `null` before the first.
     pub models: Option<ParseModels>,

@@ -83,6 +83,8 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: NamedB
             names: Vec::new(),
             given_name: None,
             found_for: None,
+            merged_from: Vec::new(),
+            dismissed: false,
         };
         if names == NamedBy::Annotated {
             give_name(&mut instance, &object.name);

@@ -23,6 +23,7 @@ use uniground_core::grounding::reasoner::builtin;
 use uniground_core::grounding::vlm::Options;
 use uniground_core::grounding::{Grounding, Question, ShortlistScoring, Status};
 use uniground_core::models::chat::{Budget, CallRecord, OverBudget};
+use uniground_core::scene::InstanceId;
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
 use uniground_types::question::{DEFAULT_MIN_CONFIDENCE, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
 
@@ -239,14 +240,20 @@ impl Service {
             aabb,
             oriented_box,
             confidence,
-            candidates,
-            alternatives,
+            mut candidates,
+            mut alternatives,
             targets,
             count,
             parsed_query,
             direction_convention,
             timings_ms,
         } = grounding;
+        let view = |id: InstanceId| {
+            let is_shown = parse.instances.get(id.0 as usize - 1).is_some_and(|instance| !instance.views.is_empty());
+            is_shown.then(|| format!("/v1/scenes/{scene_id}/instances/{id}/views/0.jpg?picture=crop"))
+        };
+        candidates.iter_mut().for_each(|candidate| candidate.view = view(candidate.id));
+        alternatives.iter_mut().for_each(|alternative| alternative.view = view(alternative.id));
         let mut evidence = vec![transcripts::picture_path(&id, pictures::GLOBAL)];
         if self.limits.retention.evidence_days > 0 {
             let shown = transcripts::pictures(&calls).into_iter().filter(|name| *name != pictures::GLOBAL);

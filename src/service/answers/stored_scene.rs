@@ -3,6 +3,7 @@
 use crate::error::Error;
 use crate::service::Service;
 use crate::service::parses::{LoadedParse, ParseFile, photograph, read_frames, read_photograph, view};
+use crate::store::Scratch;
 use camino::{Utf8Path, Utf8PathBuf};
 use std::collections::BTreeMap;
 use std::fs;
@@ -34,7 +35,17 @@ impl StoredScene {
         Arc::new(Self { service, parse })
     }
 
-    fn folder(&self) -> Utf8PathBuf {
+    /// A file of the parse, if it is what was written.
+    pub fn check(&self, file: &Utf8Path) -> Result<(), Error> {
+        self.service.check_file(&self.parse.id, file)
+    }
+
+    /// A folder of its own for as long as somebody holds it.
+    pub fn scratch(&self) -> Result<Scratch, Error> {
+        Ok(self.service.store.blobs.scratch()?)
+    }
+
+    pub fn folder(&self) -> Utf8PathBuf {
         self.service.store.blobs.parse(&self.parse.id)
     }
 }
@@ -74,7 +85,7 @@ impl SceneSource for StoredScene {
             return Ok(render_scene);
         }
         let file = ParseFile::Cloud.of(&self.folder());
-        self.service.check_file(&self.parse.id, &file)?;
+        self.check(&file)?;
         // Whoever asked has nothing to do with it.
         let damaged = |error| match error {
             IngestError::Io { .. } => Error::Ingest(error),
@@ -88,7 +99,7 @@ impl SceneSource for StoredScene {
 
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
         let folder = self.folder();
-        if instance.found_for.is_some() {
+        if instance.came_later() {
             let taken = |view: &View| read_photograph(&folder, &self.parse.content, view.frame);
             let shots = instance.views.iter().filter_map(|view| Some(Shot::of_view(taken(view)?, view)));
             return shots.take(most).collect();
@@ -102,7 +113,9 @@ impl SceneSource for StoredScene {
     }
 
     async fn names(&self) -> Result<BTreeMap<u32, String>, Error> {
-        self.service.names_of(&self.parse.id).await
+        let mut names = self.service.names_of(&self.parse.id).await?;
+        names.extend(self.parse.renamed.clone());
+        Ok(names)
     }
 
     async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), Error> {

@@ -1,8 +1,10 @@
 //! Instances as the outside sees them, and their evidence pictures.
 
+use super::parses::LoadedParse;
 use super::{Service, parses};
 use crate::error::Error;
 use camino::Utf8PathBuf;
+use std::sync::Arc;
 use tokio::task::spawn_blocking;
 use uniground_core::scene::{Instance, InstanceId};
 use uniground_core::scene_parsing::evidence::{self, Picture};
@@ -17,7 +19,7 @@ pub enum EvidenceFile {
 }
 
 /// An instance as callers see it.
-fn view_of(instance: Instance, model_name: Option<String>) -> InstanceView {
+fn view_of(instance: Instance, model_name: Option<String>, given_name: Option<String>) -> InstanceView {
     let label = instance.label().to_owned();
     let Instance {
         id,
@@ -37,6 +39,8 @@ fn view_of(instance: Instance, model_name: Option<String>) -> InstanceView {
         names,
         given_name: _, // told as the label
         found_for,
+        merged_from,
+        dismissed,
     } = instance;
     let colours = colours.dominant().into_iter().map(|(name, share)| (name.word().to_owned(), share)).collect();
     InstanceView {
@@ -56,6 +60,9 @@ fn view_of(instance: Instance, model_name: Option<String>) -> InstanceView {
         height_above_floor_m,
         names,
         model_name: model_name.filter(|name| !name.is_empty()),
+        given_name,
+        dismissed,
+        merged_from,
         found_for,
         views,
     }
@@ -72,12 +79,13 @@ impl Service {
         let page = parse
             .instances
             .iter()
-            .filter(|i| i.id.0 > cursor && levels.lists(i.level))
+            .filter(|i| i.id.0 > cursor && levels.lists(i.level, i.dismissed))
             .take(limit as usize + 1)
             .cloned();
         let named = |instance: Instance| {
             let name = names.remove(&instance.id.0);
-            view_of(instance, name)
+            let given = parse.renamed.get(&instance.id.0).cloned();
+            view_of(instance, name, given)
         };
         let mut page: Vec<InstanceView> = page.map(named).collect();
         let more = page.len() > limit as usize;
@@ -88,9 +96,9 @@ impl Service {
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
     pub async fn instance(&self, scene_id: &str, id: InstanceId) -> Result<InstanceView, Error> {
-        let (parse_id, instance) = self.stored_instance(scene_id, id).await?;
-        let name = self.names_of(&parse_id).await?.remove(&id.0);
-        Ok(view_of(instance, name))
+        let (parse, instance) = self.known_instance(scene_id, id).await?;
+        let name = self.names_of(&parse.id).await?.remove(&id.0);
+        Ok(view_of(instance, name, parse.renamed.get(&id.0).cloned()))
     }
 
     /// An evidence picture.
@@ -98,7 +106,7 @@ impl Service {
     /// # Errors
     /// [`Error::ViewNotFound`] and those of [`instance`](Self::instance).
     pub async fn view_picture(&self, scene_id: &str, id: InstanceId, view: u32, picture: ViewPicture) -> Result<EvidenceFile, Error> {
-        let (parse_id, instance) = self.stored_instance(scene_id, id).await?;
+        let (parse, instance) = self.known_instance(scene_id, id).await?;
         let views = instance.views.len();
         if view as usize >= views {
             return Err(Error::ViewNotFound { id, view, views });
@@ -107,23 +115,24 @@ impl Service {
             ViewPicture::Frame => Picture::Frame,
             ViewPicture::Crop => Picture::Crop,
         };
-        let folder = self.store.blobs.parse(&parse_id);
-        if instance.found_for.is_none() {
-            return Ok(EvidenceFile::Stored(self.sound_file(&parse_id, parses::view(&folder, id, view as usize, picture)).await?));
+        let folder = self.store.blobs.parse(&parse.id);
+        if !instance.came_later() {
+            return Ok(EvidenceFile::Stored(self.sound_file(&parse.id, parses::view(&folder, id, view as usize, picture)).await?));
         }
-        // A parse's folder never changes: what was found since is drawn when it is looked at.
-        let content = self.loaded_parse(&parse_id).await?.content.clone();
+        // A parse's folder never changes: what came later is drawn when it is looked at.
+        let content = parse.content.clone();
         let seen = instance.views[view as usize].clone();
         let drawn =
             spawn_blocking(move || Some(evidence::picture(&parses::read_photograph(&folder, &content, seen.frame)?, &seen, picture)));
         drawn.await?.map(EvidenceFile::Drawn).ok_or(Error::ViewNotFound { id, view, views })
     }
 
-    /// An instance of a scene's current parse, and the parse's id.
-    async fn stored_instance(&self, scene_id: &str, id: InstanceId) -> Result<(String, Instance), Error> {
+    /// An instance of a scene's current parse, and the parse.
+    async fn known_instance(&self, scene_id: &str, id: InstanceId) -> Result<(Arc<LoadedParse>, Instance), Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
-        match self.store.instance(&parse_id, id).await? {
-            Some(instance) => Ok((parse_id, instance)),
+        let parse = self.loaded_parse(&parse_id).await?;
+        match parse.instances.get((id.0 as usize).wrapping_sub(1)).cloned() {
+            Some(instance) => Ok((parse, instance)),
             None => Err(Error::InstanceNotFound { scene_id: scene_id.into(), id }),
         }
     }

@@ -4,8 +4,10 @@
 //! key was ever made and none is configured, nobody needs one.
 
 mod audit;
+mod links;
 
 pub use audit::Done;
+pub use links::{LinkSecret, PARAMETER as LINK_PARAMETER};
 
 use crate::error::Error;
 use crate::store::{KeyRow, Store, now, page};
@@ -81,6 +83,10 @@ pub enum Denied {
     UnknownKey,
     Expired,
     Revoked,
+    /// A link that was not made here, or not for this path.
+    BadLink,
+    /// A link whose time is over.
+    LinkOver,
 }
 
 impl KnownKey {
@@ -134,6 +140,7 @@ pub struct Keyring {
     own: Option<Arc<str>>,
     /// By prefix.
     known: Arc<RwLock<HashMap<String, Arc<KnownKey>>>>,
+    link_secret: LinkSecret,
 }
 
 impl Keyring {
@@ -143,7 +150,14 @@ impl Keyring {
     /// [`Error::Store`].
     pub async fn open(store: Store, own: Option<&str>) -> Result<Self, Error> {
         let known = store.all_keys().await?.into_iter().map(|row| (row.prefix.clone(), KnownKey::of(row))).collect();
-        Ok(Self { store, own: own.map(|key| hash_of(key).into()), known: Arc::new(RwLock::new(known)) })
+        let own = own.map(|key| hash_of(key).into());
+        Ok(Self { store, own, known: Arc::new(RwLock::new(known)), link_secret: LinkSecret::random()? })
+    }
+
+    /// With a secret that other servers know as well, or that outlives this one: links work there too.
+    #[must_use]
+    pub fn with_link_secret(self, link_secret: LinkSecret) -> Self {
+        Self { link_secret, ..self }
     }
 
     /// Whether callers must show a key: from the first one on, for good. Revoking the last one locks the door, it does not open it.

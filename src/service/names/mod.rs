@@ -140,7 +140,7 @@ impl Service {
         let unnamed: Vec<InstanceId> = source
             .instances()
             .iter()
-            .filter(|i| i.structure.is_none() && !known.contains_key(&i.id.0))
+            .filter(|i| i.structure.is_none() && !i.dismissed && !known.contains_key(&i.id.0))
             .map(|i| i.id)
             .collect();
         let mut named = 0;

@@ -1,6 +1,8 @@
 //! Parses that stay in memory, so that a question does not wait for the database or a decoder.
 
+use crate::store::Scratch;
 use camino::Utf8PathBuf;
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::SystemTime;
 use uniground_core::geometry::boxes::Aabb;
@@ -15,9 +17,11 @@ pub struct LoadedParse {
     pub id: String,
     /// The unpacked scan.
     pub content: Utf8PathBuf,
-    /// With the names of the index.
+    /// With the names of the index, and as people have corrected them.
     pub instances: Vec<Instance>,
     pub names: NameIndex,
+    /// What somebody has said instances are called, by id.
+    pub renamed: BTreeMap<u32, String>,
     /// Name and version of the model that named everything; `None` where none did.
     pub named_by: Option<String>,
     pub extent: Aabb,
@@ -31,6 +35,8 @@ pub struct LoadedParse {
 const PARSES: usize = 64;
 /// Points of clouds that stay in memory, 17 bytes each.
 const POINTS: usize = 8_000_000;
+/// Folders with points that were made since the start; each is as large as the scene's cloud.
+const MADE: usize = 16;
 /// Files whose state is remembered.
 const FILES: usize = 4096;
 
@@ -40,10 +46,12 @@ pub struct ParseCache {
     pub render_scenes: Recent<Arc<RenderScene>>,
     /// Files that were found to be what was written, by path: their size and time then.
     pub sound: Recent<(u64, SystemTime)>,
+    /// Points of parses from before they were kept.
+    pub points: Recent<Arc<Scratch>>,
 }
 
 impl Default for ParseCache {
     fn default() -> Self {
-        Self { loaded: Recent::new(PARSES), render_scenes: Recent::new(POINTS), sound: Recent::new(FILES) }
+        Self { loaded: Recent::new(PARSES), render_scenes: Recent::new(POINTS), sound: Recent::new(FILES), points: Recent::new(MADE) }
     }
 }

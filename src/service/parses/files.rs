@@ -9,7 +9,8 @@ use std::fs::{self, File};
 use std::io;
 use uniground_core::parse::ParsedScan;
 use uniground_core::progress::Progress;
-use uniground_core::scene::{Embeddings, FrameIndex, FrameRef, InstanceId, write_cloud_ply, write_instances_ply};
+use uniground_core::render::RenderScene;
+use uniground_core::scene::{Embeddings, FrameIndex, FrameRef, InstanceId, write_cloud_ply, write_even_points, write_instances_ply};
 use uniground_core::scene_parsing::evidence::{self, EvidencePicture, Picture};
 use uniground_core::scene_parsing::{ParseError, report_pictures};
 
@@ -20,6 +21,11 @@ pub enum ParseFile {
     Cloud,
     /// The cloud coloured by instance, PLY.
     Instances,
+    /// The cloud in an order of which every beginning is an even sample, with the instances of its points; not in parses from before it
+    /// was kept.
+    Points,
+    /// The room from above, small; not in parses from before it was kept.
+    Thumbnail,
     /// What the instances look like: a numpy array; only where an encoder took part.
     Embeddings,
 }
@@ -30,6 +36,8 @@ impl ParseFile {
         parse.join(match self {
             Self::Cloud => "cloud.ply",
             Self::Instances => "instances.ply",
+            Self::Points => "points.bin",
+            Self::Thumbnail => "thumbnail.jpg",
             Self::Embeddings => "embeddings.npy",
         })
     }
@@ -112,12 +120,14 @@ pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &
     writing.report("write_clouds", 0.0).map_err(ParseError::from)?;
     write_cloud_ply(&parsed.cloud, File::create(ParseFile::Cloud.of(parse))?)?;
     write_instances_ply(parsed, File::create(ParseFile::Instances.of(parse))?)?;
+    write_even_points(&parsed.cloud, &parsed.instance_of_point, File::create(ParseFile::Points.of(parse))?)?;
     write_frames(&scan.frames, content, parse)?;
     if let Some(embeddings) = &parsed.embeddings {
         embeddings.write_rows(File::create(ParseFile::Embeddings.of(parse))?)?;
         embeddings.write_norms(File::create(parse.join(NORMS))?)?;
     }
     writing.report("draw_report", 0.5).map_err(ParseError::from)?;
+    fs::write(ParseFile::Thumbnail.of(parse), report_pictures::thumbnail(&RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances), &parsed.extent))?;
     super::report_files::write(parse, report_pictures::render(parsed, &scan.frames, writing)?)?;
     writing.check().map_err(ParseError::from)?;
     fs::create_dir(parse.join(VIEWS))?;

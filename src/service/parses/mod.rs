@@ -3,6 +3,7 @@
 mod cache;
 mod files;
 mod job;
+mod looks;
 mod report_files;
 mod reports;
 
@@ -17,6 +18,7 @@ use crate::store::{Damage, Look, NewJob, ParseRecord};
 use camino::{Utf8Path, Utf8PathBuf};
 use job::Payload;
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::fs;
 use std::io;
 use std::sync::Arc;
@@ -24,8 +26,8 @@ use tokio::task::spawn_blocking;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::NameIndex;
 use uniground_core::parse::{STAGE_1_VERSION, chosen, names_of};
-use uniground_core::scene::{FrameRef, Intrinsics};
-use uniground_types::scene::{FrameList, FrameView};
+use uniground_core::scene::correct;
+use uniground_types::corrections::{Change, Correction};
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
 
 impl Service {
@@ -98,23 +100,6 @@ impl Service {
             return Err(Error::NoEmbeddings { scene_id: scene_id.into() });
         }
         self.sound_file(&parse_id, file.of(&self.store.blobs.parse(&parse_id))).await
-    }
-
-    /// The frames of a scene's current parse.
-    ///
-    /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
-    pub async fn frames(&self, scene_id: &str) -> Result<FrameList, Error> {
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let (folder, content) = (self.store.blobs.parse(&parse_id), self.loaded_parse(&parse_id).await?.content.clone());
-        let frames = spawn_blocking(move || read_frames(&folder, &content)).await??;
-        let view = |frame: FrameRef| {
-            let Intrinsics { width, height, fx, fy, cx, cy } = frame.colour_intrinsics;
-            let pose = frame.camera_to_world.to_homogeneous();
-            let camera_to_world = std::array::from_fn(|row| std::array::from_fn(|column| pose[(row, column)]));
-            FrameView { index: frame.index, width, height, fx, fy, cx, cy, camera_to_world }
-        };
-        Ok(FrameList { frames: frames.unwrap_or_default().into_iter().map(view).collect() })
     }
 
     /// The parse of a content under these settings and the models they choose, where there is one and its files are.
@@ -200,14 +185,20 @@ impl Service {
         let ParseRecord { models, extent, .. } = row.record();
         let mut instances = self.store.instances(parse_id).await?;
         let named_by = self.give_names(parse_id, &mut instances).await?;
+        let corrections = self.store.corrections(parse_id).await?;
+        correct(&mut instances, &corrections);
+        // What was found since no encoder has seen; what was merged looks like its members together.
+        let embeddings = files::read_embeddings(&self.store.blobs.parse(parse_id)).await?.map(|seen| {
+            let seen = seen.padded_to(instances.len());
+            let merged = instances.iter().enumerate().filter(|(_, instance)| !instance.merged_from.is_empty());
+            merged.fold(seen, |seen, (at, merged)| seen.with_mean(merged.merged_from.iter().map(|id| id.0 as usize - 1), at))
+        });
         let around = || Aabb::around(&instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>());
         let parse = Arc::new(LoadedParse {
             id: parse_id.to_owned(),
             content: self.store.blobs.content(&row.content_hash),
-            // What was found since no encoder has seen.
-            embeddings: files::read_embeddings(&self.store.blobs.parse(parse_id))
-                .await?
-                .map(|seen| seen.padded_to(instances.len())),
+            embeddings,
+            renamed: renamed(&corrections),
             extent: extent.or_else(around).ok_or_else(gone)?,
             names: NameIndex::of(&instances),
             named_by,
@@ -218,6 +209,16 @@ impl Service {
         self.parses.loaded.put(parse_id.to_owned(), parse.clone(), 1);
         Ok(parse)
     }
+}
+
+/// The names people have given, by id; the last one counts.
+fn renamed(corrections: &[Correction]) -> BTreeMap<u32, String> {
+    let name = |correction: &Correction| match (&correction.change, correction.made) {
+        (Change::Rename { instance_id, name }, _) => Some((instance_id.0, name.clone())),
+        (Change::Merge { name: Some(name), .. }, Some(made)) => Some((made.0, name.clone())),
+        _ => None,
+    };
+    corrections.iter().filter(|correction| correction.undone_at.is_none()).filter_map(name).collect()
 }
 
 /// A parse somebody wants: to be made, or there already.

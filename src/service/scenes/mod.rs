@@ -4,12 +4,17 @@ mod uploads;
 
 pub use uploads::NewScene;
 
-use super::Service;
+use super::{Caller, Service};
 use crate::error::Error;
 use crate::jobs::Job;
+use crate::sample;
 use crate::store::{JobState, ParseRecord, SceneRow, Scratch, page};
+use bytes::Bytes;
+use std::convert::Infallible;
 use tokio::task::spawn_blocking;
+use uniground_core::ingest::archive::ArchiveKind;
 use uniground_types::scenes::{Scene, SceneCounts, SceneList, SceneStatus};
+use uniground_types::settings::ParseSettings;
 use uploads::check_name;
 
 impl Service {
@@ -27,9 +32,26 @@ impl Service {
         let (rows, next_cursor) = page(self.store.scenes(limit + 1, cursor).await?, limit, |row| &row.id);
         let mut scenes = Vec::with_capacity(rows.len());
         for row in rows {
-            scenes.push(self.present(row).await?);
+            // Pages of scenes are looked through: what one scene was parsed with, and how that went, is asked of that scene.
+            scenes.push(Scene { settings: None, report: None, ..self.present(row).await? });
         }
         Ok(SceneList { scenes, next_cursor })
+    }
+
+    /// Makes a scene of the scan this program carries, and starts parsing it.
+    ///
+    /// # Errors
+    /// As [`create_scene`](Self::create_scene).
+    pub async fn create_sample(&self, caller: &Caller) -> Result<(Scene, Option<Job>), Error> {
+        let new = NewScene {
+            name: Some(sample::NAME.to_owned()),
+            kind: ArchiveKind::Zip,
+            parse: Some(ParseSettings::default()),
+            idempotency_key: None,
+            announced_bytes: sample::LIVING_ROOM.len() as u64,
+        };
+        let body = futures::stream::iter([Ok::<_, Infallible>(Bytes::from_static(sample::LIVING_ROOM))]);
+        self.create_scene(new, body, caller).await
     }
 
     /// # Errors

@@ -100,6 +100,14 @@ pub fn look_at(folder: &Utf8Path, file: &Utf8Path) -> io::Result<Option<Damage>>
     Ok((hash_of(&folder.join(file))? != sum).then(|| damage(file.as_str(), "damaged")))
 }
 
+/// Whether a folder was sealed with this file; where it never was, whether the file is there.
+pub fn holds(folder: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
+    match fs::read_to_string(folder.join(SUMS)) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(folder.join(file).is_file()),
+        sums => Ok(sums?.lines().filter_map(|line| line.split_once("  ")).any(|(_, name)| file == name)),
+    }
+}
+
 fn damage(file: &str, what: &str) -> Damage {
     Damage { file: file.into(), what: what.to_owned() }
 }

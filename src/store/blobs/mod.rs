@@ -203,6 +203,14 @@ impl Blobs {
         checksums::look_at(place, file)
     }
 
+    /// Whether a published folder was published with this file; of folders from before that was written down, whether it is there.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn holds(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
+        checksums::holds(place, file.strip_prefix(place).unwrap_or(file))
+    }
+
     /// Takes a folder out of the way, under `tmp/`: it is gone for everybody at once, whatever it holds. `None` where nothing was.
     fn take_away(&self, folder: &Utf8Path) -> io::Result<Option<Scratch>> {
         let path = self.tmp.join(Uuid::now_v7().to_string());

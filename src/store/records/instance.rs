@@ -40,6 +40,8 @@ pub struct InstanceRecord {
     given_name: Option<String>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     found_for: Option<String>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    merged_from: Vec<InstanceId>,
 }
 
 impl From<&Instance> for InstanceRecord {
@@ -63,6 +65,8 @@ impl From<&Instance> for InstanceRecord {
             names,
             given_name,
             found_for,
+            merged_from,
+            dismissed: _, // corrections are kept as such
         } = instance.clone();
         Self {
             id,
@@ -82,6 +86,7 @@ impl From<&Instance> for InstanceRecord {
             names,
             given_name,
             found_for,
+            merged_from,
         }
     }
 }
@@ -106,6 +111,7 @@ impl From<InstanceRecord> for Instance {
             names,
             given_name,
             found_for,
+            merged_from,
         } = record;
         Self {
             id,
@@ -125,6 +131,8 @@ impl From<InstanceRecord> for Instance {
             names,
             given_name,
             found_for,
+            merged_from,
+            dismissed: false,
         }
     }
 }

@@ -89,6 +89,11 @@ class Alternative:
     """Share of the belief, `0..=1`."""
     box: Aabb
     """Axis-aligned box, stray points left out; metres, world frame (Z up)."""
+    name: Optional[str] = None
+    """What it is called, without regard to the question; empty in answers given before this was told."""
+    oriented_box: Optional[OrientedBox] = None
+    view: Optional[str] = None
+    """Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service."""
 
 
 @dataclass
@@ -353,6 +358,24 @@ class Candidate:
     """Fit to the question, `0..=1`."""
     box: Aabb
     """Axis-aligned box, stray points left out; metres, world frame (Z up)."""
+    name: Optional[str] = None
+    """What it is called, without regard to the question; empty in answers given before this was told."""
+    oriented_box: Optional[OrientedBox] = None
+    view: Optional[str] = None
+    """Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service."""
+
+
+class ChangeOptions(TypedDict, total=False):
+    """What `Change` may have besides."""
+    instance_id: InstanceId
+    """Which thing."""
+    name: Optional[str]
+    """What people would call it; left out, its measures tell."""
+    instance_ids: Sequence[InstanceId]
+    """Two things or more, at most 100."""
+class Change(ChangeOptions):
+    """What is to be different."""
+    kind: Literal["rename", "dismiss", "merge", "split"]
 
 
 @dataclass
@@ -362,6 +385,29 @@ class CoordinateFrame:
     """The axis that points up, always `z`: scans are turned when they are imported."""
     units: str
     """Unit of lengths, always `m` (metres)."""
+
+
+@dataclass
+class Correction:
+    """A change somebody has made."""
+    id: str
+    """UUIDv7; in order of time, in which they take effect."""
+    change: Change
+    """What is different."""
+    created_at: str
+    """When it was made, RFC 3339 UTC."""
+    author: Optional[str] = None
+    """Name of the key it was made with; `null` for the server's own, and where no key is wanted."""
+    made: Optional[InstanceId] = None
+    undone_at: Optional[str] = None
+    """When it was taken back, RFC 3339 UTC; `null` while it holds."""
+
+
+@dataclass
+class CorrectionList:
+    """All corrections of a scene's current parse."""
+    corrections: list[Correction]
+    """Newest first, those that were taken back included."""
 
 
 class CorrectionSettings(TypedDict, total=False):
@@ -531,6 +577,15 @@ class GroundRequest(GroundOptions):
 
 
 @dataclass
+class GroundTruth:
+    """The things of a scene, as `uniground eval` reads annotations."""
+    scene_id: str
+    """UUIDv7 of the scene."""
+    objects: list[TrueObject]
+    """In order of id."""
+
+
+@dataclass
 class Health:
     """Whether the process is alive."""
     status: str
@@ -638,12 +693,18 @@ class InstanceView:
     """Best first, at most five; empty for parts of the building, and where nothing fits."""
     views: list[View]
     """Frames that show it best; pictures at `/instances/{id}/views/{k}.jpg`, k from 0."""
+    dismissed: Optional[bool] = None
+    """Somebody has said that it is no thing, or not one: no answer, and listed only with `level=all`."""
     found_for: Optional[str] = None
     """The question it was found for: a vision-language model saw it in a photograph, and it was no instance yet. `null` for what the parse
     has found.
     """
+    given_name: Optional[str] = None
+    """What somebody has said it is called; `null` where nobody has."""
     level: Optional[Level] = None
     """A thing, a part of one, or a whole of several."""
+    merged_from: list[InstanceId] = field(default_factory=list)
+    """The instances that somebody has said are one thing, this one; empty for what the parse has found."""
     model_name: Optional[str] = None
     """What the configured vision-language model calls it, without having heard a question; `null` until it was asked."""
     structure: Optional[Structure] = None
@@ -780,6 +841,36 @@ class Levelling:
     """Share of the surfaces looked at that are level or upright with it, `0..=1`."""
     evidence: str
     """What it was told by, a sentence."""
+
+
+@dataclass
+class Link:
+    """A link, and until when it works."""
+    path: str
+    """As it was asked for."""
+    token: str
+    """What makes it work: the query parameter `link` of any path it stands for."""
+    expires_at: str
+    """RFC 3339 UTC."""
+    url: Optional[str] = None
+    """The path with its token; `null` where the path stands for several."""
+
+
+@dataclass
+class LinkList:
+    """Links in the order of their paths."""
+    links: list[Link]
+    """One for each path."""
+
+
+class LinkOptions(TypedDict, total=False):
+    """What `LinkRequest` may have besides."""
+    expires_in_s: int
+    """How long they work, seconds."""
+class LinkRequest(LinkOptions):
+    """What is to be read without a key."""
+    paths: Sequence[str]
+    """Paths of this server below `/v1/`, 1 to 500. One that ends in `/*` stands for everything below it, like `/v1/scenes/{scene_id}/*`."""
 
 
 @dataclass
@@ -1457,6 +1548,32 @@ class Trace:
     """In the order they were made, reading the question included; at most three."""
     corrections: list[str]
     """What was wrong and what was done about it, a sentence each, in order."""
+
+
+@dataclass
+class TrueObject:
+    """A thing. Metres, world frame of the scene (Z up)."""
+    id: int
+    """Id of the instance."""
+    name: str
+    """What it is called."""
+    min: list[float]
+    """Lowest corner."""
+    max: list[float]
+    """Highest corner."""
+    obb: TurnedBox
+    """Turned about the vertical to fit it."""
+    corrected: bool
+    """Whether somebody has said what it is called, or that it is one thing."""
+
+
+@dataclass
+class TurnedBox:
+    """A box turned about the vertical."""
+    center: list[float]
+    size: list[float]
+    yaw_deg: float
+    """Counter-clockwise from above, degrees."""
 
 
 @dataclass

@@ -118,7 +118,7 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
         alternatives: rivals
             .iter()
             .take(MAX_ALTERNATIVES)
-            .map(|i| Alternative { id: i.id, confidence: belief(i), aabb: i.aabb })
+            .map(|i| alternative(i, described(i), belief(i)))
             .collect(),
         count: asks_for_several.then_some(targets.len() as u32),
         targets,
@@ -134,11 +134,23 @@ impl Grounding {
         for (shown, rank) in context.candidates.iter().zip(1..) {
             let Some(instance) = instances.get(shown.id.0 as usize - 1).filter(|i| i.found_for.is_some()) else { continue };
             if self.candidates.iter().all(|c| c.id != shown.id) {
-                self.candidates.push(Candidate { id: shown.id, rank, score: shown.score, aabb: shown.aabb });
+                self.candidates.push(candidate(instance, rank, shown.score));
                 self.answer.candidate_names.insert(shown.id.0, described(instance));
             }
         }
     }
+}
+
+/// An instance as a candidate.
+pub(super) fn candidate(instance: &Instance, rank: u32, score: f32) -> Candidate {
+    let &Instance { id, aabb, oriented_box, .. } = instance;
+    Candidate { id, rank, score, name: described(instance), aabb, oriented_box: Some(oriented_box), view: None }
+}
+
+/// An instance as an alternative.
+pub(super) fn alternative(instance: &Instance, name: String, confidence: f32) -> Alternative {
+    let &Instance { id, aabb, oriented_box, .. } = instance;
+    Alternative { id, name, confidence, aabb, oriented_box: Some(oriented_box), view: None }
 }
 
 /// An instance as a target.

@@ -4,6 +4,7 @@
 //! geometry of relations. What is called the right thing comes before what only stands in the right place; among those, place counts more
 //! than colour; what nobody speaks for by name is ordered by rank fusion.
 
+use super::answer::candidate;
 use super::assess::{Assessment, Assessor};
 use super::place::one_per_place;
 use super::query::{Meaning, ParsedQuery, Phrase};
@@ -30,11 +31,7 @@ pub(super) fn choose(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], 
         CandidateSource::Reasoner => reasoned(assessor, parsed, scores, top_k),
         CandidateSource::Fused => fused(assessor, parsed, scores, top_k),
     };
-    let candidate = |(i, rank): (usize, u32)| {
-        let instance = &scene.instances[i];
-        Candidate { id: instance.id, rank, score: scores[i], aabb: instance.aabb }
-    };
-    order.into_iter().zip(1..).map(candidate).collect()
+    order.into_iter().zip(1..).map(|(i, rank)| candidate(&scene.instances[i], rank, scores[i])).collect()
 }
 
 /// How alike an instance's looks and the question's words are, by index, one instance for each place; names and measures where no encoder
@@ -76,7 +73,7 @@ fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize
     let may_be = |i: usize| {
         let instance = &scene.instances[i];
         let is_thing = instance.structure.is_none() && scene.names.get(i).is_none_or(super::GivenName::is_thing);
-        (is_thing || asks_for_structure) && instance.aabb.size.max() >= SPECK_M
+        (is_thing || asks_for_structure) && !instance.dismissed && instance.aabb.size.max() >= SPECK_M
     };
     let is_called_so =
         |i: usize| meaning != Meaning::Anything && scene.names.get(i).is_some_and(|name| name.fit(target, &meaning) >= CALLED_SO);

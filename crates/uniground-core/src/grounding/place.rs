@@ -7,8 +7,11 @@ const NOT_A_THING: f32 = 0.9;
 /// Two parts of a thing are beside each other when their boxes share no more than this (IoU).
 const BESIDE: f32 = 0.1;
 
-/// Of everything in one place only the best fit stays; the others fit nothing. `fits` are by index.
+/// Of everything in one place only the best fit stays; the others fit nothing, nor does what somebody has dismissed. `fits` are by index.
 pub(super) fn one_per_place(instances: &[Instance], fits: &mut [f32]) {
+    for (fit, _) in fits.iter_mut().zip(instances).filter(|(_, instance)| instance.dismissed) {
+        *fit = 0.0;
+    }
     let compounds: Vec<usize> = (0..instances.len()).filter(|&i| instances[i].level != Level::Thing).collect();
     compounds.iter().for_each(|&i| fits[i] *= NOT_A_THING);
     let thing_ids = |i: usize| if instances[i].level == Level::Thing { vec![instances[i].id] } else { instances[i].things.clone() };

@@ -1,5 +1,6 @@
 //! Candidates by score: top-k, ties by id.
 
+use super::answer::candidate;
 use super::{Candidate, SceneView};
 use crate::geometry::statistics::largest;
 
@@ -9,9 +10,6 @@ pub(super) fn rank(scene: SceneView, scores: &[f32], top_k: usize) -> Vec<Candid
         .into_iter()
         .filter(|&i| scores[i] > 0.0)
         .enumerate()
-        .map(|(rank, i)| {
-            let instance = &scene.instances[i];
-            Candidate { id: instance.id, rank: rank as u32 + 1, score: scores[i], aabb: instance.aabb }
-        })
+        .map(|(rank, i)| candidate(&scene.instances[i], rank as u32 + 1, scores[i]))
         .collect()
 }

@@ -52,6 +52,26 @@ impl Embeddings {
         self
     }
 
+    /// With the mean of other rows in one of them: what several instances look like together, at the index of what they are.
+    #[must_use]
+    pub fn with_mean(mut self, of: impl IntoIterator<Item = usize>, at: usize) -> Self {
+        let (mut sum, mut norms, mut seen) = (vec![0.0; self.dim], Norms::default(), 0.0);
+        for index in of.into_iter().filter(|&index| self.is_seen(index)) {
+            let row = &self.rows[index * self.dim..(index + 1) * self.dim];
+            sum.iter_mut().zip(row).for_each(|(sum, value)| *sum += value.to_f32());
+            norms.appearance += self.norms[index].appearance;
+            norms.joint += self.norms[index].joint;
+            seen += 1.0;
+        }
+        let length = sum.iter().map(|value| value * value).sum::<f32>().sqrt();
+        if length > 0.0 {
+            sum.iter_mut().for_each(|value| *value /= length);
+            self.rows[at * self.dim..(at + 1) * self.dim].convert_from_f32_slice(&sum);
+            self.norms[at] = Norms { appearance: norms.appearance / seen, joint: norms.joint / seen };
+        }
+        self
+    }
+
     /// Length of a row.
     #[must_use]
     pub fn dim(&self) -> usize {

@@ -2,7 +2,7 @@
 
 use super::{InstanceId, ParsedScene, PointCloud};
 use crate::geometry::Point3;
-use std::io::{self, Write};
+use std::io::{self, BufRead, Read, Write};
 
 /// Writes the cloud in its own colours.
 ///
@@ -42,6 +42,36 @@ fn write(positions: &[Point3<f32>], of_point: impl Fn(usize) -> ([u8; 3], Option
     out.flush()
 }
 
+/// The thing each point belongs to, of what [`write_instances_ply`] wrote.
+///
+/// # Errors
+/// Those of `file`; something else than was written.
+pub fn read_instance_of_point(mut file: impl BufRead) -> io::Result<Vec<InstanceId>> {
+    let malformed = || io::Error::new(io::ErrorKind::InvalidData, "this is no cloud by instance");
+    let (mut line, mut count) = (String::new(), None);
+    while line != "end_header\n" {
+        line.clear();
+        if Read::by_ref(&mut file).take(LONGEST_LINE).read_line(&mut line)? == 0 {
+            return Err(malformed());
+        }
+        if let Some(number) = line.strip_prefix("element vertex ") {
+            count = number.trim_end().parse::<usize>().ok();
+        }
+    }
+    let mut bytes = Vec::new();
+    file.read_to_end(&mut bytes)?;
+    let (points, rest) = bytes.as_chunks::<LABELLED_BYTES>();
+    if !rest.is_empty() || Some(points.len()) != count {
+        return Err(malformed());
+    }
+    Ok(points.iter().map(|&[.., a, b, c, d]| InstanceId(u32::from_le_bytes([a, b, c, d]))).collect())
+}
+
+/// Of a header.
+const LONGEST_LINE: u64 = 200;
+/// Three coordinates, three colours, an id.
+const LABELLED_BYTES: usize = 19;
+
 /// A colour per id: steps of the golden angle around the hue circle, so that neighbours in number differ.
 #[must_use]
 pub fn id_colour(id: u32) -> [u8; 3] {
@@ -51,4 +81,20 @@ pub fn id_colour(id: u32) -> [u8; 3] {
         let k = (n + hue) % 6.0;
         ((value - value * 0.7 * k.min(4.0 - k).clamp(0.0, 1.0)) * 255.0) as u8
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Point3;
+
+    #[test]
+    fn whose_points_they_are_can_be_read_back() {
+        let positions: Vec<Point3<f32>> = (0..3).map(|i| Point3::new(i as f32, 0.0, 1.0)).collect();
+        let ids = [0, 70_000, 2].map(InstanceId);
+        let mut bytes = Vec::new();
+        write(&positions, |i| (id_colour(ids[i].0), Some(ids[i])), &mut bytes).unwrap();
+        assert_eq!(read_instance_of_point(&*bytes).unwrap(), ids);
+        assert!(read_instance_of_point(&bytes[..bytes.len() - 1]).is_err() && read_instance_of_point(&b"ply\n"[..]).is_err());
+    }
 }

@@ -46,9 +46,21 @@ pub struct Instance {
     /// The question it was found for, when somebody saw it in a photograph; `None` for what stage 1 has found.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub found_for: Option<String>,
+    /// The instances that somebody has said are one thing, this one; empty for what stage 1 has found.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub merged_from: Vec<InstanceId>,
+    /// Somebody has said that it is no thing, or not one: it fits nothing.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub dismissed: bool,
 }
 
 impl Instance {
+    /// Whether it was made after the parse: for a question, or of others that are one thing.
+    #[must_use]
+    pub fn came_later(&self) -> bool {
+        self.found_for.is_some() || !self.merged_from.is_empty()
+    }
+
     /// What to call it when talking to people: its given name, its structure, its best name, or just "object".
     #[must_use]
     pub fn label(&self) -> &str {

@@ -55,6 +55,8 @@ const GAP_SPACINGS: f32 = 3.0;
 const LEAST_GAP_M: f32 = 0.03;
 /// Pixels around a place in which a mask is looked for where the place itself has none.
 const AROUND_PX: i32 = 6;
+/// A mask shows an instance when so much of what its frame sees under it, or in the instance's box, is both (IoU).
+const SHOWN: f32 = 0.6;
 /// Boxes that overlap by this much are one thing.
 const SAME_THING: f32 = 0.5;
 /// Views an instance is shown by (paper: 3).
@@ -64,13 +66,13 @@ const VIEWS: usize = 3;
 #[must_use]
 pub fn known_as<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a Instance> {
     let overlap = |i: &Instance| i.aabb.iou(&found.aabb);
-    let best = known.iter().max_by(|a, b| overlap(a).total_cmp(&overlap(b)).then(b.id.cmp(&a.id)));
+    let best = known.iter().filter(|i| !i.dismissed).max_by(|a, b| overlap(a).total_cmp(&overlap(b)).then(b.id.cmp(&a.id)));
     best.filter(|i| overlap(i) >= SAME_THING)
 }
 
 impl Pointing<'_> {
-    /// The thing at a place, as the next of the instances that are known; not one of those it is known not to be, and no part of the building.
-    /// `None` where nothing else can be cut out there.
+    /// The thing at a place: one of the instances that are known, where a mask shows just that, else as the next of them; not one of those
+    /// it is known not to be, and no part of the building. `None` where nothing else can be cut out there.
     ///
     /// # Errors
     /// [`ParseError`]: an unreadable frame, or a segmenter that fails.
@@ -78,6 +80,7 @@ impl Pointing<'_> {
         let Some(first) = self.frames.iter().find(|frame| frame.index == place.frame) else { return Ok(None) };
         let visibility = Visibility::new(self.cloud, &vec![0; self.cloud.len()], self.settings.depth_tolerance);
         let first = self.look(first, &visibility)?;
+        let is_other = |i: &Instance| i.structure.is_some() || is_not.contains(&i.id);
         let mut options = Vec::new();
         for (mask, quality) in self.masks_at(&first, place.at)? {
             let seed = first.under(&mask);
@@ -85,10 +88,13 @@ impl Pointing<'_> {
                 continue;
             }
             let quick = instances::of_points(self.cloud, &seed, known, &self.settings.instances);
-            let is_other = |i: &Instance| i.structure.is_some() || is_not.contains(&i.id);
             if !known_as(known, &quick).is_some_and(is_other) {
                 options.push(Meant { mask, quality, seed });
             }
+        }
+        let may_be = |i: &&Instance| !is_other(i) && !i.dismissed;
+        if let Some(shown) = self.shown(&first, &options, known.iter().filter(may_be)) {
+            return Ok(Some(shown.clone()));
         }
         let Some(least) = options.iter().map(|option| &option.seed).min_by_key(|seed| seed.len()) else { return Ok(None) };
         // As many as stage 1 looked at: somebody waits.
@@ -113,6 +119,24 @@ impl Pointing<'_> {
         }
         let views = self.views_of(&frames, &points)?;
         Ok(Some(Instance { views, ..instances::of_points(self.cloud, &points, known, &self.settings.instances) }))
+    }
+
+    /// The instance that a mask shows best, if one does: what the frame sees of its box is what it sees under the mask.
+    fn shown<'i>(&self, looked: &Looked, options: &[Meant], known: impl Iterator<Item = &'i Instance>) -> Option<&'i Instance> {
+        let under: Vec<Vec<bool>> = options
+            .iter()
+            .map(|option| looked.seen.iter().map(|point| option.mask.holds(looked, point)).collect())
+            .collect();
+        let share = |instance: &Instance| {
+            let in_box: Vec<bool> = looked.seen.iter().map(|p| holds(&instance.aabb, &self.cloud.positions[p.point as usize])).collect();
+            let iou = |under: &Vec<bool>| {
+                let count = |both: fn((&bool, &bool)) -> bool| under.iter().zip(&in_box).filter(|(a, b)| both((a, b))).count();
+                count(|(a, b)| *a && *b) as f32 / count(|(a, b)| *a || *b).max(1) as f32
+            };
+            under.iter().map(iou).fold(0.0, f32::max)
+        };
+        let shares = known.map(|instance| (share(instance), instance)).filter(|(share, _)| *share >= SHOWN);
+        shares.max_by(|(a, i), (b, j)| a.total_cmp(b).then(j.id.cmp(&i.id))).map(|(_, instance)| instance)
     }
 
     fn look(&self, frame: &FrameRef, visibility: &Visibility) -> Result<Looked, ParseError> {

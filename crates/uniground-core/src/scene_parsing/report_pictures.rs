@@ -2,9 +2,10 @@
 //! a few frames.
 
 use super::ParseError;
+use crate::geometry::boxes::Aabb;
 use crate::progress::Progress;
-use crate::render::{ROOM_VIEW, RenderScene, frame_overlay, jpeg, scene_picture};
-use crate::scene::{FrameRef, InstanceId, ParsedScene, PointCloud, id_colour};
+use crate::render::{Orbit, ROOM_VIEW, RenderScene, frame_overlay, jpeg, scene_picture};
+use crate::scene::{FrameError, FrameRef, Instance, InstanceId, ParsedScene, PointCloud, id_colour};
 use rayon::prelude::*;
 
 /// One picture of a report.
@@ -29,7 +30,7 @@ const DROPPED_GREY: [u8; 3] = [90, 90, 90];
 /// [`ParseError`] for unreadable frames and cancellation.
 pub fn render(scene: &ParsedScene, frames: &[FrameRef], progress: &Progress) -> Result<Vec<ReportPicture>, ParseError> {
     let by_superpoint = RenderScene::of_parsed(recoloured(scene, |i| id_colour(scene.superpoint_of_point[i])), &scene.instances);
-    let by_instance = RenderScene::of_parsed(recoloured(scene, |i| instance_colour(scene, scene.instance_of_point[i])), &scene.instances);
+    let by_instance = RenderScene::of_parsed(recoloured(scene, |i| instance_colour(&scene.instances, scene.instance_of_point[i])), &scene.instances);
     let count = FRAMES.min(frames.len());
     let shown = (0..count).map(|k| &frames[frames.len() * (2 * k + 1) / (2 * count)]);
     let structural = scene.report.structural;
@@ -61,6 +62,29 @@ pub fn render(scene: &ParsedScene, frames: &[FrameRef], progress: &Progress) -> 
         .collect()
 }
 
+/// The room in its own colours, small: what a list of rooms shows. JPEG.
+#[must_use]
+pub fn thumbnail(render_scene: &RenderScene, extent: &Aabb) -> Vec<u8> {
+    let small = Orbit { width: 320, height: 240, ..ROOM_VIEW };
+    jpeg(&scene_picture(render_scene, extent, &small, &[]))
+}
+
+/// A photograph with the instances it shows in their colours, half transparent; parts of the building are grey. `shown_as` tells of each
+/// point's thing which one it is to be shown as.
+///
+/// # Errors
+/// An unreadable photograph.
+pub fn photograph_with_instances(
+    frame: &FrameRef,
+    cloud: &PointCloud,
+    instances: &[Instance],
+    shown_as: impl Fn(usize) -> InstanceId + Sync + Send,
+) -> Result<Vec<u8>, FrameError> {
+    let colours = (0..cloud.len()).into_par_iter().map(|point| instance_colour(instances, shown_as(point))).collect();
+    let coloured = RenderScene::of(PointCloud { positions: cloud.positions.clone(), colours });
+    Ok(jpeg(&frame_overlay(&frame.decode_colour()?, &frame.colour_camera(), &coloured)))
+}
+
 enum Subject<'a> {
     Cloud(&'a RenderScene),
     Frame(&'a FrameRef),
@@ -71,8 +95,8 @@ fn recoloured(scene: &ParsedScene, colour: impl Fn(usize) -> [u8; 3] + Sync + Se
     PointCloud { colours: (0..positions.len()).into_par_iter().map(colour).collect(), positions }
 }
 
-fn instance_colour(scene: &ParsedScene, id: InstanceId) -> [u8; 3] {
-    let instance = (id.0 as usize).checked_sub(1).map(|i| &scene.instances[i]);
+fn instance_colour(instances: &[Instance], id: InstanceId) -> [u8; 3] {
+    let instance = (id.0 as usize).checked_sub(1).and_then(|i| instances.get(i));
     match instance {
         None => DROPPED_GREY,
         Some(instance) if instance.structure.is_some() => STRUCTURE_GREY,

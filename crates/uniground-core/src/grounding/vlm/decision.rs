@@ -3,7 +3,7 @@
 use super::consistency::matches;
 use super::reply::{Choice, Field, Reply, SeenAt};
 use super::{PromptCandidate, PromptContext};
-use crate::grounding::answer::target;
+use crate::grounding::answer::{alternative, target};
 use crate::grounding::{Alternative, Grounding, NoMatchReason, Seen, Status};
 use crate::models::chat::AskError;
 use crate::scene::{Instance, InstanceId};
@@ -134,6 +134,11 @@ impl Decision {
                 known.clone_from(name);
             }
         }
+        for candidate in &mut grounding.candidates {
+            if let Some(name) = answer.candidate_names.get(&candidate.id.0) {
+                candidate.name.clone_from(name);
+            }
+        }
         let chosen = match self.outcome {
             Outcome::Chosen(id) | Outcome::Projected(id) => instances.get(id.0 as usize - 1),
             Outcome::Nothing | Outcome::NotListed => None,
@@ -181,7 +186,7 @@ impl Decision {
         let meant = |id: InstanceId| grounding.targets.iter().any(|target| target.id == id);
         let rivals = grounding.candidates.iter().filter(|c| chosen.is_some() && !meant(c.id));
         let mut rivals: Vec<Alternative> = rivals
-            .map(|c| Alternative { id: c.id, confidence: (1.0 - weight) * belief(c.id), aabb: c.aabb })
+            .map(|c| alternative(&instances[c.id.0 as usize - 1], c.name.clone(), (1.0 - weight) * belief(c.id)))
             .collect();
         rivals.sort_by(|a, b| b.confidence.total_cmp(&a.confidence).then(a.id.cmp(&b.id)));
         rivals.retain(|r| r.confidence > 0.0);

@@ -173,6 +173,8 @@ pub(crate) mod tests {
             names: Vec::new(),
             given_name: None,
             found_for: None,
+            merged_from: Vec::new(),
+            dismissed: false,
         }
     }
 

@@ -65,6 +65,8 @@ impl Scene {
             names: Vec::new(),
             given_name: None,
             found_for: None,
+            merged_from: Vec::new(),
+            dismissed: false,
         });
     }
 

@@ -117,6 +117,8 @@ pub fn build<'a>(
             names: Vec::new(),
             given_name: None,
             found_for: None,
+            merged_from: Vec::new(),
+            dismissed: false,
         })
         .collect();
     let renumbered = |sighting: Sighting| Sighting { instance: new_id[sighting.instance.0 as usize], ..sighting };

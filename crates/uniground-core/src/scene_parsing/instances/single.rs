@@ -3,7 +3,7 @@
 use super::{Shape, support};
 use crate::geometry::boxes::Aabb;
 use crate::models::attributes::name_guesses;
-use crate::scene::{Instance, InstanceId, Level, PointCloud, Structure};
+use crate::scene::{Instance, InstanceId, Level, PointCloud, Structure, Support};
 use uniground_types::settings::InstanceSettings;
 
 /// These points of the cloud as the next of the known instances: a thing, without views.
@@ -14,13 +14,18 @@ pub fn of_points(cloud: &PointCloud, points: &[u32], known: &[Instance], setting
     let shape = Shape::of(cloud, points, NOISE_M, settings);
     let bottom_z = |i: &Instance| i.aabb.min().z;
     let floor_z = known.first().map_or(shape.aabb.min().z, |i| bottom_z(i) - i.height_above_floor_m);
-    // Ids of things are their places in this list; what was found later comes behind parts and wholes.
-    let things = || known.iter().take_while(|i| i.level == Level::Thing);
-    let mut boxes: Vec<Aabb> = things().map(|i| i.aabb).collect();
-    let mut structures: Vec<Option<Structure>> = things().map(|i| i.structure).collect();
+    let things: Vec<&Instance> = known.iter().filter(|i| i.level == Level::Thing && !i.dismissed).collect();
+    let mut boxes: Vec<Aabb> = things.iter().map(|i| i.aabb).collect();
+    let mut structures: Vec<Option<Structure>> = things.iter().map(|i| i.structure).collect();
     boxes.push(shape.aabb);
     structures.push(None);
-    let support = support::of(boxes.len() - 1, &boxes, &structures, floor_z);
+    // Told by places in this list, counted from 1.
+    let id_of = |place: InstanceId| things[place.0 as usize - 1].id;
+    let support = match support::of(boxes.len() - 1, &boxes, &structures, floor_z) {
+        Support::Instance { id } => Support::Instance { id: id_of(id) },
+        Support::Wall { id } => Support::Wall { id: id_of(id) },
+        other => other,
+    };
     let found = Instance {
         id: InstanceId(known.len() as u32 + 1),
         level: Level::Thing,
@@ -39,6 +44,8 @@ pub fn of_points(cloud: &PointCloud, points: &[u32], known: &[Instance], setting
         names: Vec::new(),
         given_name: None,
         found_for: None,
+        merged_from: Vec::new(),
+        dismissed: false,
     };
     Instance { names: name_guesses(&found), ..found }
 }

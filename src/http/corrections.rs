@@ -1,0 +1,98 @@
+//! `/v1/scenes/{scene_id}/corrections` and `/annotations`
+
+use super::extract::{Json, Path};
+use super::problem::Refused;
+use super::{App, Asking};
+use crate::service::GroundTruth;
+use axum::Extension;
+use axum::extract::State;
+use axum::http::{StatusCode, header};
+use axum::response::IntoResponse;
+use uniground_types::corrections::{Change, Correction, CorrectionList};
+use uniground_types::problem::Problem;
+
+/// Corrects what the current parse has found: a name, junk, things that are one, a thing that is several.
+///
+/// Answers from now on know it. A correction belongs to the parse: scenes of the same bytes and settings share it, a new parse starts
+/// without.
+#[utoipa::path(
+    post, path = "/v1/scenes/{scene_id}/corrections", operation_id = "correct_scene", tag = "instances", params(("scene_id" = String, Path)),
+    request_body = Change,
+    responses(
+        (status = 201, body = Correction),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["write"]), ())
+)]
+pub async fn create(
+    State(app): State<App>,
+    Path(scene_id): Path<String>,
+    Extension(caller): Asking,
+    Json(change): Json<Change>,
+) -> Result<(StatusCode, axum::Json<Correction>), Refused> {
+    Ok((StatusCode::CREATED, axum::Json(app.service.correct(&scene_id, change, &caller).await?)))
+}
+
+/// Lists the corrections of the current parse, newest first, with who made them and which were taken back.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}/corrections", operation_id = "list_corrections", tag = "instances", params(("scene_id" = String, Path)),
+    responses(
+        (status = 200, body = CorrectionList),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["read"]), ())
+)]
+pub async fn list(State(app): State<App>, Path(scene_id): Path<String>) -> Result<axum::Json<CorrectionList>, Refused> {
+    Ok(axum::Json(app.service.corrections(&scene_id).await?))
+}
+
+/// Takes a correction back. It stays in the list; what it had changed is as it was before.
+#[utoipa::path(
+    delete, path = "/v1/scenes/{scene_id}/corrections/{correction_id}", operation_id = "undo_correction", tag = "instances",
+    params(("scene_id" = String, Path), ("correction_id" = String, Path)),
+    responses(
+        (status = 200, body = Correction),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["write"]), ())
+)]
+pub async fn undo(
+    State(app): State<App>,
+    Path((scene_id, correction_id)): Path<(String, String)>,
+) -> Result<axum::Json<Correction>, Refused> {
+    Ok(axum::Json(app.service.undo_correction(&scene_id, &correction_id).await?))
+}
+
+/// The things of the current parse as people have corrected them: the annotations that `uniground eval` reads beside a scan, as
+/// `<scene>.scene.json`.
+#[utoipa::path(
+    get, path = "/v1/scenes/{scene_id}/annotations", operation_id = "get_annotations", tag = "instances", params(("scene_id" = String, Path)),
+    responses(
+        (status = 200, body = GroundTruth),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["read"]), ())
+)]
+pub async fn annotations(State(app): State<App>, Path(scene_id): Path<String>) -> Result<impl IntoResponse, Refused> {
+    let truth = app.service.ground_truth(&scene_id).await?;
+    let name = format!("attachment; filename=\"{}.scene.json\"", truth.scene_id);
+    Ok(([(header::CONTENT_DISPOSITION, name)], axum::Json(truth)))
+}

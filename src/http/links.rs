@@ -1,0 +1,34 @@
+//! `/v1/links`
+
+use super::extract::Json;
+use super::problem::Refused;
+use super::{App, Asking};
+use axum::Extension;
+use axum::extract::State;
+use jiff::Timestamp;
+use uniground_types::links::{LinkList, LinkRequest};
+use uniground_types::problem::Problem;
+
+/// Makes links that work without a key for a while: for pictures, clouds and event streams in a page, where no header can be sent.
+///
+/// A link reads what its path names, no more, and stops with the key it was made with. It is the path with the query parameter `link`.
+#[utoipa::path(
+    post, path = "/v1/links", operation_id = "create_links", tag = "keys", request_body = LinkRequest,
+    responses(
+        (status = 200, body = LinkList),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["read"]), ())
+)]
+pub async fn create(
+    State(app): State<App>,
+    Extension(caller): Asking,
+    Json(request): Json<LinkRequest>,
+) -> Result<axum::Json<LinkList>, Refused> {
+    Ok(axum::Json(app.service.keys.links(request, &caller, Timestamp::now())?))
+}

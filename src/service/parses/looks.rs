@@ -1,0 +1,131 @@
+//! A parse for who looks at it: points, a small picture, the photographs and where they were taken from.
+
+use super::{ParseFile, read_frames};
+use crate::error::Error;
+use crate::service::answers::StoredScene;
+use crate::service::{EvidenceFile, Service};
+use crate::store::Scratch;
+use camino::Utf8PathBuf;
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::io::BufReader;
+use std::sync::Arc;
+use tokio::task::spawn_blocking;
+use uniground_core::grounding::pipeline::SceneSource;
+use uniground_core::scene::{FrameRef, InstanceId, Intrinsics, read_instance_of_point, write_even_points};
+use uniground_core::scene_parsing::{ParseError, report_pictures};
+use uniground_types::scene::{FrameList, FrameView};
+
+impl Service {
+    /// The cloud of a scene's current parse, every beginning of which is an even sample.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`].
+    pub async fn points(&self, scene_id: &str) -> Result<Utf8PathBuf, Error> {
+        let (scene, file) = self.kept(scene_id, ParseFile::Points).await?;
+        if let Some(file) = file {
+            return Ok(file);
+        }
+        if let Some(made) = self.parses.points.get(&scene.parse.id) {
+            return Ok(made.path().join(POINTS));
+        }
+        let made = scene.compute(StoredScene::even_points).await?;
+        let (id, path) = (scene.parse.id.clone(), made.path().join(POINTS));
+        self.parses.points.put(id, Arc::new(made), 1);
+        Ok(path)
+    }
+
+    /// The room of a scene's current parse, small.
+    ///
+    /// # Errors
+    /// As [`points`](Self::points).
+    pub async fn thumbnail(&self, scene_id: &str) -> Result<EvidenceFile, Error> {
+        let (scene, file) = self.kept(scene_id, ParseFile::Thumbnail).await?;
+        if let Some(file) = file {
+            return Ok(EvidenceFile::Stored(file));
+        }
+        let draw = |scene: &StoredScene| Ok(report_pictures::thumbnail(&*scene.render_scene()?, &scene.extent()));
+        scene.compute(draw).await.map(EvidenceFile::Drawn)
+    }
+
+    /// A file of a scene's current parse; `None` in a parse from before it was kept.
+    async fn kept(&self, scene_id: &str, file: ParseFile) -> Result<(Arc<StoredScene>, Option<Utf8PathBuf>), Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let path = file.of(&scene.folder());
+        let (blobs, folder, file) = (self.store.blobs.clone(), scene.folder(), path.clone());
+        let is_kept = spawn_blocking(move || blobs.holds(&folder, &file)).await??;
+        Ok((scene, if is_kept { Some(self.sound_file(&parse_id, path).await?) } else { None }))
+    }
+
+    /// The frames of a scene's current parse.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
+    pub async fn frames(&self, scene_id: &str) -> Result<FrameList, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let (folder, content) = (self.store.blobs.parse(&parse_id), self.loaded_parse(&parse_id).await?.content.clone());
+        let frames = spawn_blocking(move || read_frames(&folder, &content)).await??;
+        let view = |frame: FrameRef| {
+            let Intrinsics { width, height, fx, fy, cx, cy } = frame.colour_intrinsics;
+            let pose = frame.camera_to_world.to_homogeneous();
+            let camera_to_world = std::array::from_fn(|row| std::array::from_fn(|column| pose[(row, column)]));
+            FrameView { index: frame.index, width, height, fx, fy, cx, cy, camera_to_world }
+        };
+        Ok(FrameList { frames: frames.unwrap_or_default().into_iter().map(view).collect() })
+    }
+
+    /// A photograph of a scene's scan, by its place in the scan's own list; with the instances it shows drawn in, where that is wanted. JPEG
+    /// or PNG as it was taken, else JPEG.
+    ///
+    /// # Errors
+    /// [`Error::FrameNotFound`] and those of [`points`](Self::points).
+    pub async fn frame_picture(&self, scene_id: &str, index: u32, with_instances: bool) -> Result<EvidenceFile, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        scene
+            .compute(move |scene| {
+                let frames = read_frames(&scene.folder(), &scene.parse.content)?.unwrap_or_default();
+                let frame = frames.into_iter().find(|frame| frame.index.0 == index).ok_or(Error::FrameNotFound { index })?;
+                match with_instances {
+                    true => scene.photograph_with_instances(&frame).map(EvidenceFile::Drawn),
+                    false => Ok(EvidenceFile::Stored(frame.colour)),
+                }
+            })
+            .await
+    }
+}
+
+const POINTS: &str = "points.bin";
+
+impl StoredScene {
+    /// The things points belong to, as stage 1 has found them.
+    pub fn instance_of_point(&self) -> Result<Vec<InstanceId>, Error> {
+        let file = ParseFile::Instances.of(&self.folder());
+        self.check(&file)?;
+        Ok(read_instance_of_point(BufReader::new(File::open(file)?))?)
+    }
+
+    /// What parses of today keep, made of one from before.
+    fn even_points(&self) -> Result<Scratch, Error> {
+        let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
+        let scratch = self.scratch()?;
+        write_even_points(&render_scene.cloud, &of_point, File::create(scratch.path().join(POINTS))?)?;
+        Ok(scratch)
+    }
+
+    fn photograph_with_instances(&self, frame: &FrameRef) -> Result<Vec<u8>, Error> {
+        let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
+        let merged = self.instances().iter().filter(|instance| !instance.dismissed);
+        let merged: BTreeMap<InstanceId, InstanceId> = merged.flat_map(|all| all.merged_from.iter().map(|id| (*id, all.id))).collect();
+        let shown_as = |point: usize| {
+            let mut id = of_point.get(point).copied().unwrap_or_default();
+            while let Some(whole) = merged.get(&id) {
+                id = *whole;
+            }
+            id
+        };
+        let drawn = report_pictures::photograph_with_instances(frame, &render_scene.cloud, self.instances(), shown_as);
+        drawn.map_err(|error| ParseError::from(error).into())
+    }
+}
