@@ -90,6 +90,8 @@ pub enum Error {
     IdempotencyKeyReused,
     #[error("too many {what} at once: {most} are served")]
     TooMany { what: &'static str, most: usize },
+    #[error("{what}")]
+    NoScan { what: &'static str },
     #[error("the upload is too slow: at least {bytes_per_s} bytes a second, and never {silence_s} s of silence")]
     UploadTooSlow { bytes_per_s: u64, silence_s: u64 },
     #[error("the upload holds more than {max_bytes} bytes")]
@@ -242,6 +244,7 @@ impl Error {
             Self::ReportPictureNotFound { .. } => "report_picture_not_found",
             Self::NoEmbeddings { .. } => "no_embeddings",
             Self::AnswerNotFound { .. } => "answer_not_found",
+            Self::NoScan { .. } => "unsupported_media_type",
             Self::FrameNotFound { .. } => "frame_not_found",
             Self::CorrectionNotFound { .. } => "correction_not_found",
             Self::CorrectionInUse { .. } => "correction_in_use",

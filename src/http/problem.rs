@@ -159,6 +159,7 @@ fn status_of(error: &Error) -> StatusCode {
         Error::DiskNearlyFull { .. } => StatusCode::INSUFFICIENT_STORAGE,
         Error::Overloaded | Error::TooMany { .. } => StatusCode::TOO_MANY_REQUESTS,
         Error::ParseDamaged { .. } | Error::VlmDown { .. } => StatusCode::SERVICE_UNAVAILABLE,
+        Error::NoScan { .. } => StatusCode::UNSUPPORTED_MEDIA_TYPE,
         Error::UploadTooSlow { .. } => StatusCode::REQUEST_TIMEOUT,
         Error::UploadTooLarge { .. } | Error::TooManyItems { .. } => StatusCode::PAYLOAD_TOO_LARGE,
         Error::UploadInterrupted { .. } => StatusCode::BAD_REQUEST,

@@ -12,8 +12,8 @@ use axum::Extension;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
+use multer::{Field, Multipart, parse_boundary};
 use serde::Deserialize;
-use uniground_core::ingest::archive::ArchiveKind;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::{Created, ParseRequest, Rename, Scene, SceneList};
@@ -46,14 +46,15 @@ fn yes() -> bool {
 
 /// Uploads a scan.
 ///
-/// The body is the archive itself, streamed. It is checked before anything is stored; parsing then runs as a job.
-/// The same bytes under the same settings are parsed only once.
+/// The body is the scan itself, streamed: an archive (zip, tar, tar.zst), a cloud or a mesh; or a form with one as its file. What it is, its
+/// bytes say, whatever the content type. It is checked before anything is stored; parsing then runs as a job. The same bytes under the
+/// same settings are parsed only once.
 #[utoipa::path(
     post, path = "/v1/scenes", operation_id = "create_scene", tag = "scenes",
     params(CreateParameters, ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the scene it made")),
     request_body(
-        content((Binary = "application/zip"), (Binary = "application/x-tar"), (Binary = "application/zstd")),
-        description = "Archive: scene.json layout, or color/ depth/ pose/ intrinsic.txt [cloud.ply]"
+        content((Binary = "application/zip"), (Binary = "application/x-tar"), (Binary = "application/zstd"), (Binary = "application/octet-stream")),
+        description = "An archive of any layout that is read, a cloud or a mesh"
     ),
     responses(
         (status = 202, body = Created),
@@ -75,19 +76,32 @@ pub async fn create(
     request: Request,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
     let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
-    let media_type = header("content-type").unwrap_or_default();
-    let kind = ArchiveKind::of_media_type(media_type).ok_or_else(|| {
-        let known = [ArchiveKind::Zip, ArchiveKind::Tar, ArchiveKind::TarZst].map(ArchiveKind::media_type).join(", ");
-        let detail = format!("the content type of an upload must be one of {known}, not {media_type:?}");
-        Refused::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail)
-    })?;
     let mut settings = ParseSettings::from_request(preset, None).map_err(crate::error::Error::from)?;
     settings.import.up = up;
     let announced_bytes = header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
     let idempotency_key = header("idempotency-key").map(str::to_owned);
-    let new = NewScene { name, kind, parse: parse.then_some(settings), idempotency_key, announced_bytes };
-    let (scene, job) = app.service.create_scene(new, request.into_body().into_data_stream(), &caller).await?;
+    let new = NewScene { name, file_name: None, parse: parse.then_some(settings), idempotency_key, announced_bytes };
+    let body = request.into_body().into_data_stream();
+    let (scene, job) = match header("content-type").and_then(|media_type| parse_boundary(media_type).ok()) {
+        Some(boundary) => {
+            let (file_name, file) = file_of_form(Multipart::new(body, boundary)).await?;
+            app.service.create_scene(NewScene { file_name, ..new }, file, &caller).await?
+        }
+        None => app.service.create_scene(new, body, &caller).await?,
+    };
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
+}
+
+/// The first file of a form: what it is called, and its bytes.
+async fn file_of_form(mut form: Multipart<'static>) -> Result<(Option<String>, Field<'static>), Refused> {
+    const NO_FILE: &str = "this form has no file: curl -F scan=@room.zip sends one";
+    let refused = |detail: &str| Refused::new(StatusCode::BAD_REQUEST, "malformed_form", detail);
+    while let Some(field) = form.next_field().await.map_err(|error| refused(&error.to_string()))? {
+        if let Some(file_name) = field.file_name().map(str::to_owned) {
+            return Ok((Some(file_name), field));
+        }
+    }
+    Err(refused(NO_FILE))
 }
 
 /// Makes a scene of the living room this program carries, and parses it: something to ask about at once.

@@ -105,10 +105,19 @@ impl StoredScene {
     /// One thing of the points of several.
     fn merged(&self, members: &[InstanceId]) -> Result<Instance, Error> {
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
-        let of_point = self.instance_of_point()?;
+        let (known, of_point) = (self.instances(), self.instance_of_point()?);
         let wanted = self.with_members(members);
-        let points: Vec<u32> = (0_u32..).zip(of_point).filter(|(_, id)| wanted.contains(id)).map(|(point, _)| point).collect();
-        let known = self.instances();
+        // Of parts only boxes are known: of what was taken apart the points in them.
+        let has_points: BTreeSet<InstanceId> = of_point.iter().copied().collect();
+        let parts = wanted.iter().filter(|id| !has_points.contains(id)).map(|id| &known[id.0 as usize - 1]);
+        let parts: Vec<&Instance> = parts.filter(|part| part.merged_from.is_empty()).collect();
+        let is_meant = |point: usize, id: InstanceId| {
+            let was_taken_apart = || known.get((id.0 as usize).wrapping_sub(1)).is_some_and(|whole| whole.dismissed);
+            let position = &render_scene.cloud.positions[point];
+            wanted.contains(&id) || was_taken_apart() && parts.iter().any(|part| part.raw_box.contains(position))
+        };
+        let points = of_point.iter().enumerate().filter(|(point, id)| is_meant(*point, **id));
+        let points: Vec<u32> = points.map(|(point, _)| point as u32).collect();
         let merged = instances::of_points(&render_scene.cloud, &points, known, &settings.instances);
         let shown: Vec<&Instance> = members.iter().map(|id| &known[id.0 as usize - 1]).collect();
         Ok(Instance { views: views_of_all(&shown, MOST_VIEWS), merged_from: members.to_vec(), ..merged })

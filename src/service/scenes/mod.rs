@@ -12,7 +12,6 @@ use crate::store::{JobState, ParseRecord, SceneRow, Scratch, page};
 use bytes::Bytes;
 use std::convert::Infallible;
 use tokio::task::spawn_blocking;
-use uniground_core::ingest::archive::ArchiveKind;
 use uniground_types::scenes::{Scene, SceneCounts, SceneList, SceneStatus};
 use uniground_types::settings::ParseSettings;
 use uploads::check_name;
@@ -45,7 +44,7 @@ impl Service {
     pub async fn create_sample(&self, caller: &Caller) -> Result<(Scene, Option<Job>), Error> {
         let new = NewScene {
             name: Some(sample::NAME.to_owned()),
-            kind: ArchiveKind::Zip,
+            file_name: None,
             parse: Some(ParseSettings::default()),
             idempotency_key: None,
             announced_bytes: sample::LIVING_ROOM.len() as u64,

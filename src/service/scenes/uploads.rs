@@ -15,8 +15,7 @@ use std::time::{Duration, Instant};
 use tempfile::NamedTempFile;
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
-use uniground_core::ingest;
-use uniground_core::ingest::archive::{ArchiveKind, unpack};
+use uniground_core::ingest::{self, Packed, what_it_is};
 use uniground_types::scenes::Scene;
 use uniground_types::settings::ParseSettings;
 
@@ -24,7 +23,8 @@ use uniground_types::settings::ParseSettings;
 pub struct NewScene {
     /// Default: what the archive calls itself.
     pub name: Option<String>,
-    pub kind: ArchiveKind,
+    /// What its file was called, where that is known: endings tell what bytes do not.
+    pub file_name: Option<String>,
     /// Parse at once, with these settings.
     pub parse: Option<ParseSettings>,
     pub idempotency_key: Option<String>,
@@ -35,6 +35,7 @@ pub struct NewScene {
 /// An archive on disk.
 struct Received {
     file: NamedTempFile,
+    packed: Packed,
     /// SHA-256 of the bytes, hex.
     hash: String,
     bytes: u64,
@@ -59,6 +60,8 @@ const MAX_NAME_CHARS: usize = 200;
 /// An archive being received.
 struct Receiving {
     file: NamedTempFile,
+    /// The first bytes.
+    head: Vec<u8>,
     hasher: Sha256,
     bytes: u64,
 }
@@ -66,6 +69,8 @@ struct Receiving {
 impl Receiving {
     fn write(&mut self, chunks: Vec<Bytes>) -> std::io::Result<()> {
         for chunk in chunks {
+            let missing = Packed::HEAD_BYTES.saturating_sub(self.head.len()).min(chunk.len());
+            self.head.extend_from_slice(&chunk[..missing]);
             self.bytes += chunk.len() as u64;
             self.hasher.update(&chunk);
             self.file.write_all(&chunk)?;
@@ -73,9 +78,14 @@ impl Receiving {
         Ok(())
     }
 
-    fn finish(self) -> Received {
+    /// What is coming, once enough of it is there.
+    fn packed(&self, file_name: &str) -> Result<Packed, Error> {
+        Packed::of_head(&self.head, file_name).ok_or(Error::NoScan { what: what_it_is(&self.head) })
+    }
+
+    fn finish(self, packed: Packed) -> Received {
         let hash = self.hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-        Received { file: self.file, hash, bytes: self.bytes }
+        Received { file: self.file, packed, hash, bytes: self.bytes }
     }
 }
 
@@ -95,7 +105,7 @@ impl Service {
         // First: who is turned away costs nothing.
         let place = self.uploads.clone().try_acquire_owned();
         let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
-        let NewScene { name, kind, parse, idempotency_key, announced_bytes } = new;
+        let NewScene { name, file_name, parse, idempotency_key, announced_bytes } = new;
         let idempotency_key = idempotency_key.map(|key| caller.own(key));
         if let Some(name) = &name {
             check_name("/name", name)?;
@@ -111,7 +121,8 @@ impl Service {
                 self.jobs.check_room::<ParseJob>().await?;
             }
         }
-        let received = Arc::new(self.receive(body).await?);
+        let file_name = file_name.or_else(|| name.clone()).unwrap_or_default();
+        let received = Arc::new(self.receive(body, &file_name).await?);
         drop(place);
         let request = request_of(&received.hash, name.as_deref(), parse.as_ref())?;
         if let Some((scene, before)) = made_before {
@@ -123,7 +134,7 @@ impl Service {
         }
         let mut unpacked = match self.has_content(&received.hash).await? {
             true => None,
-            false => Some(self.unpack(received.clone(), kind).await?),
+            false => Some(self.unpack(received.clone()).await?),
         };
         // Read before anybody has to wait for it: a scan of many files takes its time.
         let name = match (name, &unpacked) {
@@ -135,7 +146,7 @@ impl Service {
         if unpacked.is_none() && !self.has_content(&received.hash).await? {
             // Its last scene was deleted in between.
             drop(references);
-            unpacked = Some(self.unpack(received.clone(), kind).await?);
+            unpacked = Some(self.unpack(received.clone()).await?);
             references = self.content_references.lock().await;
         }
         // Again, with nobody beside: several uploads at once must not come to more.
@@ -200,12 +211,12 @@ impl Service {
 
     /// Streams a body to a temporary file, hashed and written off the async threads a megabyte at a time; a slow disk slows the sender.
     /// Nothing but the connection waits for a sender that is slow.
-    async fn receive<E>(&self, mut body: impl Stream<Item = Result<Bytes, E>> + Unpin) -> Result<Received, Error> {
+    async fn receive<E>(&self, mut body: impl Stream<Item = Result<Bytes, E>> + Unpin, file_name: &str) -> Result<Received, Error> {
         let max_bytes = self.limits.max_upload_bytes;
         let tmp = self.store.blobs.tmp().to_owned();
         let begun = Instant::now();
         let file = spawn_blocking(move || NamedTempFile::new_in(tmp)).await??;
-        let mut receiving = Receiving { file, hasher: Sha256::new(), bytes: 0 };
+        let mut receiving = Receiving { file, head: Vec::new(), hasher: Sha256::new(), bytes: 0 };
         let (mut received, mut waiting, mut waiting_bytes) = (0, Vec::new(), 0);
         let too_slow = || Error::UploadTooSlow { bytes_per_s: LEAST_BYTES_PER_S, silence_s: SILENCE.as_secs() };
         loop {
@@ -228,21 +239,23 @@ impl Service {
                 let (chunks, mut own) = (std::mem::take(&mut waiting), receiving);
                 waiting_bytes = 0;
                 receiving = spawn_blocking(move || own.write(chunks).map(|()| own)).await??;
-            }
-            if is_last {
-                return Ok(receiving.finish());
+                // Nobody sends a whole video to hear that it is none.
+                let packed = receiving.packed(file_name)?;
+                if is_last {
+                    return Ok(receiving.finish(packed));
+                }
             }
         }
     }
 
-    /// Unpacks an archive and puts it through the importer's checks.
-    async fn unpack(&self, received: Arc<Received>, kind: ArchiveKind) -> Result<Unpacked, Error> {
+    /// Unpacks what came and puts it through the importer's checks.
+    async fn unpack(&self, received: Arc<Received>) -> Result<Unpacked, Error> {
         let (blobs, limits) = (self.store.blobs.clone(), self.limits.unpack);
         spawn_blocking(move || {
             let folder = blobs.scratch()?;
             let archive =
                 Utf8Path::from_path(received.file.path()).ok_or_else(|| std::io::Error::other("the data folder's path is not UTF-8"))?;
-            unpack(archive, kind, folder.path(), &limits)?;
+            received.packed.unpack(archive, folder.path(), &limits)?;
             let name = name_or_scene(ingest::open(folder.path())?.name);
             Ok(Unpacked { folder, name })
         })

@@ -22,7 +22,7 @@ mod validate;
 pub use error::IngestError;
 pub use load::{Inspected, inspect, load, read_cloud};
 pub use scan::Scan;
-pub use unpacked::Unpacked;
+pub use unpacked::{Packed, Unpacked, what_it_is};
 
 use camino::Utf8Path;
 

@@ -3,6 +3,7 @@
 //! Little-endian throughout. What the file claims is checked before it is believed; frames are written one at a time.
 
 use super::IngestError;
+use super::unpacked::head_of;
 use camino::{Utf8Path, Utf8PathBuf};
 use flate2::read::ZlibDecoder;
 use image::{ImageBuffer, ImageFormat, Luma};
@@ -22,12 +23,11 @@ const COLOUR_JPEG: i32 = 2;
 /// The one of depth pictures that is used.
 const DEPTH_ZLIB: i32 = 1;
 
-/// Whether a file begins as one.
-pub(super) fn recognises(file: &Utf8Path) -> bool {
-    let mut head = [0; 12];
-    let read = File::open(file).and_then(|mut f| f.read_exact(&mut head)).is_ok();
-    let name_bytes = u64::from_le_bytes(std::array::from_fn(|i| head[4 + i]));
-    read && file.extension() == Some("sens") && head[..4] == VERSION.to_le_bytes() && name_bytes <= MAX_NAME_BYTES
+/// Whether a file with this ending begins as one.
+pub(super) fn recognises(head: &[u8], extension: &str) -> bool {
+    let version = head.first_chunk::<4>().map(|version| u32::from_le_bytes(*version));
+    let name_bytes = head.get(4..).and_then(<[u8]>::first_chunk::<8>).map(|bytes| u64::from_le_bytes(*bytes));
+    extension == "sens" && version == Some(VERSION) && name_bytes.is_some_and(|bytes| bytes <= MAX_NAME_BYTES)
 }
 
 /// The only file of a folder (and of the only folder in it) that is one.
@@ -44,7 +44,7 @@ pub(super) fn lone(folder: &Utf8Path) -> Result<Option<Utf8PathBuf>, IngestError
         if entries.iter().any(|path| path.file_name() == Some("scene.json")) {
             return Ok(None);
         }
-        let mut found: Vec<&Utf8PathBuf> = entries.iter().filter(|path| recognises(path)).collect();
+        let mut found: Vec<&Utf8PathBuf> = entries.iter().filter(|path| recognises(&head_of(path), path.extension().unwrap_or_default())).collect();
         if found.len() == 1 {
             return Ok(found.pop().cloned());
         }

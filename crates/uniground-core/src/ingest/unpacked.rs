@@ -33,21 +33,72 @@ impl Unpacked {
         let path = Utf8Path::from_path(temporary.path())
             .ok_or_else(|| reading(std::io::ErrorKind::InvalidFilename.into()))?
             .to_owned();
-        if let Some(kind) = ArchiveKind::of_file(scan) {
-            unpack(scan, kind, &path, &UnpackLimits::default())?;
-        } else if sens::recognises(scan) {
-            sens::unpack(scan, &path, UnpackLimits::default().max_bytes)?;
-        } else if let Some(kind) = CloudKind::of(scan).or((scan.extension() == Some("ply")).then_some(CloudKind::Ply)) {
+        match Packed::of(scan).ok_or_else(|| IngestError::malformed(scan, what_it_is(&head_of(scan))))? {
             // What a mesh names lies beside it.
-            match (kind, scan.parent()) {
-                (CloudKind::Obj | CloudKind::Gltf, Some(folder)) => copy_beside(scan, folder, &path).map_err(reading)?,
-                _ => put(scan, &path.join("cloud").with_extension(scan.extension().unwrap_or("ply"))).map_err(reading)?,
+            Packed::Cloud("obj" | "gltf") => {
+                copy_beside(scan, scan.parent().unwrap_or(Utf8Path::new(".")), &path).map_err(reading)?;
             }
-        } else {
-            return Err(IngestError::malformed(scan, what_it_is(scan)));
+            Packed::Cloud(ending) => put(scan, &path.join("cloud").with_extension(ending)).map_err(reading)?,
+            packed => packed.unpack(scan, &path, &UnpackLimits::default())?,
         }
         Ok(Self { path, _temporary: Some(temporary) })
     }
+}
+
+/// How a scan is packed into one file, as its bytes say.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Packed {
+    /// Its files in an archive.
+    Archive(ArchiveKind),
+    /// `ScanNet`'s stream of frames.
+    Sens,
+    /// A cloud or a mesh, by the ending such files have.
+    Cloud(&'static str),
+}
+
+impl Packed {
+    /// Bytes of a file that are enough to tell.
+    pub const HEAD_BYTES: usize = 4096;
+
+    /// By a file's first bytes; where those are only numbers, by the ending of its name. `None`: nothing that is read.
+    #[must_use]
+    pub fn of_head(head: &[u8], name: &str) -> Option<Self> {
+        let extension = Utf8Path::new(name).extension().unwrap_or_default();
+        ArchiveKind::of_head(head)
+            .map(Self::Archive)
+            .or_else(|| sens::recognises(head, extension).then_some(Self::Sens))
+            .or_else(|| CloudKind::of_head(head, extension).map(|kind| Self::Cloud(kind.name())))
+    }
+
+    fn of(file: &Utf8Path) -> Option<Self> {
+        ArchiveKind::of_file_name(file.as_str())
+            .map(Self::Archive)
+            .or_else(|| Self::of_head(&head_of(file), file.as_str()))
+            .or((file.extension() == Some("ply")).then_some(Self::Cloud("ply")))
+    }
+
+    /// Brings the scan's files into a folder; a cloud is copied.
+    ///
+    /// # Errors
+    /// [`IngestError`]: an archive that can not be unpacked, a file that can not be copied.
+    pub fn unpack(self, file: &Utf8Path, folder: &Utf8Path, limits: &UnpackLimits) -> Result<(), IngestError> {
+        match self {
+            Self::Archive(kind) => unpack(file, kind, folder, limits),
+            Self::Sens => sens::unpack(file, folder, limits.max_bytes).map(drop),
+            Self::Cloud(ending) => {
+                let copied = fs::copy(file, folder.join("cloud").with_extension(ending));
+                copied.map(drop).map_err(|source| IngestError::reading(file, source))
+            }
+        }
+    }
+}
+
+/// The first bytes of a file.
+pub(super) fn head_of(file: &Utf8Path) -> Vec<u8> {
+    let mut head = Vec::new();
+    // What can not be read is told by who reads on.
+    let _ = fs::File::open(file).and_then(|f| f.take(Packed::HEAD_BYTES as u64).read_to_end(&mut head));
+    head
 }
 
 /// Points to a file, or copies it where that can not be.
@@ -72,11 +123,10 @@ fn copy_beside(mesh: &Utf8Path, folder: &Utf8Path, target: &Utf8Path) -> std::io
     Ok(())
 }
 
-/// A sentence for what is often tried.
-fn what_it_is(file: &Utf8Path) -> &'static str {
-    let mut head = Vec::new();
-    let _ = fs::File::open(file).and_then(|f| f.take(16).read_to_end(&mut head));
-    match &head[..] {
+/// A sentence for what is often tried and is no scan.
+#[must_use]
+pub fn what_it_is(head: &[u8]) -> &'static str {
+    match head {
         [0xff, 0xd8, ..] | [0x89, b'P', b'N', b'G', ..] => "this is a picture: a scan has many, with depth and poses",
         [_, _, _, _, b'f', b't', b'y', b'p', ..] => "this is a video: a scan needs its frames as pictures, with depth and poses",
         [b'#', b'R', b'O', b'S', b'B', b'A', b'G', ..] => "this is a ROS bag: export colour, depth and poses from it first",

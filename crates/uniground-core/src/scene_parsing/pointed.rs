@@ -112,7 +112,7 @@ impl Pointing<'_> {
         let Some((_, votes, option)) = best else { return Ok(None) };
         let reach = self.reach(&option.seed);
         let mut carried = votes.carried();
-        carried.retain(|point| holds(&reach, &self.cloud.positions[*point as usize]));
+        carried.retain(|point| reach.contains(&self.cloud.positions[*point as usize]));
         let points = self.hanging_together(&carried, &option.seed);
         if points.len() < LEAST_POINTS {
             return Ok(None);
@@ -128,7 +128,7 @@ impl Pointing<'_> {
             .map(|option| looked.seen.iter().map(|point| option.mask.holds(looked, point)).collect())
             .collect();
         let share = |instance: &Instance| {
-            let in_box: Vec<bool> = looked.seen.iter().map(|p| holds(&instance.aabb, &self.cloud.positions[p.point as usize])).collect();
+            let in_box: Vec<bool> = looked.seen.iter().map(|p| instance.aabb.contains(&self.cloud.positions[p.point as usize])).collect();
             let iou = |under: &Vec<bool>| {
                 let count = |both: fn((&bool, &bool)) -> bool| under.iter().zip(&in_box).filter(|(a, b)| both((a, b))).count();
                 count(|(a, b)| *a && *b) as f32 / count(|(a, b)| *a || *b).max(1) as f32
@@ -206,7 +206,7 @@ impl Pointing<'_> {
         let reach = self.reach(seed);
         let is_other = |point: &FramePoint| {
             let seen_apart = first_seen[point.point as usize] > 0 && !of_seed.contains(&point.point);
-            seen_apart || !holds(&reach, &point.position)
+            seen_apart || !reach.contains(&point.position)
         };
         let (mut sum, mut count) = (0.0, 0_u32);
         for looked in further {
@@ -383,11 +383,6 @@ impl Subset {
         let depth = frame.decode_depth()?;
         Ok(Visibility::new(&self.points, &vec![0; self.points.len()], depth_tolerance).in_frame(&frame.depth_camera(), &depth))
     }
-}
-
-fn holds(aabb: &Aabb, point: &Point3<f32>) -> bool {
-    let away = (point - aabb.center).abs();
-    (0..3).all(|axis| away[axis] <= aabb.size[axis] / 2.0)
 }
 
 /// Where a point of the cloud is in a frame's colour picture; `None` outside.

@@ -45,6 +45,14 @@ impl Aabb {
         self.center + self.size / 2.0
     }
 
+    /// Whether a point lies in it, its faces included.
+    #[must_use]
+    #[inline]
+    pub fn contains(&self, point: &Point3<f32>) -> bool {
+        let away = (point - self.center).abs();
+        (0..3).all(|axis| away[axis] <= self.size[axis] / 2.0)
+    }
+
     /// Cubic metres.
     #[must_use]
     #[inline]

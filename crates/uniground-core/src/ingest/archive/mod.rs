@@ -7,10 +7,8 @@ use super::{IngestError, sens};
 use camino::Utf8Path;
 use entries::walk;
 use sink::{Sink, Survey};
-use std::fs::File;
-use std::io::Read;
 
-/// Container of an upload, as declared by its content type.
+/// Container of a scan's files.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum ArchiveKind {
     /// `.zip`; its entries may be compressed.
@@ -22,17 +20,6 @@ pub enum ArchiveKind {
 }
 
 impl ArchiveKind {
-    /// By media type, parameters ignored.
-    #[must_use]
-    pub fn of_media_type(media_type: &str) -> Option<Self> {
-        match media_type.split(';').next().unwrap_or_default().trim().to_ascii_lowercase().as_str() {
-            "application/zip" | "application/x-zip-compressed" => Some(Self::Zip),
-            "application/x-tar" => Some(Self::Tar),
-            "application/zstd" | "application/x-zstd" => Some(Self::TarZst),
-            _ => None,
-        }
-    }
-
     /// By file name.
     #[must_use]
     pub fn of_file_name(name: &str) -> Option<Self> {
@@ -42,22 +29,18 @@ impl ArchiveKind {
             .find_map(|(ending, kind)| name.ends_with(ending).then_some(kind))
     }
 
-    /// By name, or by what a file begins with.
+    /// By what a file begins with.
     #[must_use]
-    pub fn of_file(file: &Utf8Path) -> Option<Self> {
-        Self::of_file_name(file.as_str()).or_else(|| {
-            let mut head = Vec::new();
-            File::open(file).ok()?.take(512).read_to_end(&mut head).ok()?;
-            match &head[..] {
-                [b'P', b'K', 3, 4, ..] | [b'P', b'K', 5, 6, ..] => Some(Self::Zip),
-                [0x28, 0xb5, 0x2f, 0xfd, ..] => Some(Self::TarZst),
-                head if head.get(257..262) == Some(b"ustar") => Some(Self::Tar),
-                _ => None,
-            }
-        })
+    pub fn of_head(head: &[u8]) -> Option<Self> {
+        match head {
+            [b'P', b'K', 3, 4, ..] | [b'P', b'K', 5, 6, ..] => Some(Self::Zip),
+            [0x28, 0xb5, 0x2f, 0xfd, ..] => Some(Self::TarZst),
+            head if head.get(257..262) == Some(b"ustar") => Some(Self::Tar),
+            _ => None,
+        }
     }
 
-    /// Its content type in an upload; [`of_media_type`](Self::of_media_type) knows other spellings too.
+    /// Its content type; an upload is known by its bytes.
     #[must_use]
     pub fn media_type(self) -> &'static str {
         match self {

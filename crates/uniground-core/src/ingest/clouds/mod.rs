@@ -46,7 +46,8 @@ impl CloudKind {
         Self::of_head(&head, file.extension().unwrap_or_default())
     }
 
-    fn of_head(head: &[u8], extension: &str) -> Option<Self> {
+    /// By first bytes; where those are only numbers, by an ending.
+    pub fn of_head(head: &[u8], extension: &str) -> Option<Self> {
         if head.starts_with(b"ply") {
             return Some(Self::Ply);
         }
