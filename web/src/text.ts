@@ -86,6 +86,7 @@ export const t = {
       scene_not_found: "It was deleted, or the link is of another server.",
       answer_not_found: "It was deleted, or is older than answers are kept here.",
       batch_not_found: "It was deleted, or is older than batches are kept here.",
+      cloud_changed: "Reload the page.",
       page_failed: "Reload the page. If it happens again, report what you did before.",
     } as Record<string, string>,
     otherwise: "Try again. If it stays, give the request's number to whoever runs the service.",

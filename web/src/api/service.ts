@@ -45,6 +45,7 @@ export async function allInstances(scene: string, signal?: AbortSignal): Promise
   return all;
 }
 
+export const pointsPath = (scene: string) => `/v1/scenes/${id(scene)}/points.bin`;
 export const cloudPath = (scene: string) => `/v1/scenes/${id(scene)}/cloud.ply`;
 export const instancesCloudPath = (scene: string) => `/v1/scenes/${id(scene)}/instances.ply`;
 export const viewPath = (scene: string, instance: number, view: number, picture: "frame" | "crop") =>

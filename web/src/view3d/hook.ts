@@ -8,8 +8,8 @@ import type { Point } from "./marks";
 import type { Picked, Viewer } from "./viewer";
 
 export interface TestHook {
-  /** Whether points, and whose they are, have arrived. */
-  loaded(): { points: number; instances: boolean };
+  /** Points that have arrived, and all there are; 0 before it is known. */
+  loaded(): { points: number; all: number };
   /** Points in the last picture. */
   shown(): number;
   boxes(): DrawnBox[];
@@ -23,9 +23,9 @@ declare global {
   interface Window { unigroundPage?: TestHook }
 }
 
-export function offerHook(viewer: Viewer, canvas: HTMLCanvasElement, loaded: () => { points: number; instances: boolean }): void {
+export function offerHook(viewer: Viewer, canvas: HTMLCanvasElement): void {
   window.unigroundPage = {
-    loaded,
+    loaded: () => viewer.loaded,
     shown: () => viewer.shown,
     boxes: () => viewer.boxes.drawn,
     project: (point) => {

@@ -31,6 +31,9 @@ const WIDEST = 2.5;
 /** A picture at rest may take so many times as long: a second. */
 const AT_REST = 25;
 
+/** Marked in the browser's own measurements. */
+const FIRST_PICTURE = "first picture";
+
 /** From where the whole room is shown, radians. */
 const HOME_AZIMUTH = -2.1;
 const HOME_ELEVATION = 0.85;
@@ -66,10 +69,7 @@ export class Viewer {
   private ground = [1, 1, 1];
   private tones = new Map<number, [number, number, number]>();
   private budget = BUDGET;
-  private has = false;
   private moved = false;
-  /** More points are on their way. */
-  loading = false;
   private request = 0;
   private last = 0;
 
@@ -92,7 +92,7 @@ export class Viewer {
     this.draw();
   }
 
-  /** Takes a cloud, whole or still empty; it stands where the extent says. */
+  /** Takes a cloud that is still empty; it stands where the extent says. */
   load(cloud: Cloud, extent: Aabb, instances: Map<number, InstanceView>): void {
     this.points?.dispose();
     if (this.points) this.scene.remove(this.points.points);
@@ -113,11 +113,16 @@ export class Viewer {
     this.resize();
   }
 
-  /** More of the cloud has arrived. */
-  arrived(what: "points" | "instances"): void {
-    this.points?.arrived(what);
-    this.has = true;
-    this.draw();
+  /** More of the cloud has arrived: it is shown before more is waited for. */
+  arrived(): void {
+    this.points?.arrived();
+    cancelAnimationFrame(this.request);
+    this.picture(performance.now());
+  }
+
+  /** Points that have arrived, and all there are. */
+  get loaded(): { points: number; all: number } {
+    return { points: this.cloud?.arrived ?? 0, all: this.cloud?.count ?? 0 };
   }
 
   colour(mode: Colouring): void {
@@ -178,8 +183,7 @@ export class Viewer {
     const { left, top } = this.canvas.getBoundingClientRect();
     const i = this.picker.at(this.renderer, this.camera, this.points, clientX - left, clientY - top);
     if (i === null) return null;
-    const [x, y, z] = this.cloud.positions.subarray(i * 3, i * 3 + 3);
-    return { point: [x!, y!, z!], instance: this.cloud.instances[i]! };
+    return { point: this.cloud.position(i), instance: this.cloud.instance(i) };
   }
 
   /** Where a place of the world lies on the canvas, CSS pixels; `null` behind the camera. */
@@ -209,12 +213,13 @@ export class Viewer {
       const { position } = this.camera;
       const inside = this.controls.walking;
       this.points.cut(this.cutWalls && !inside ? lookedThrough(this.walls, position.x, position.y) : []);
-      const most = moving || this.loading ? this.budget : this.budget * AT_REST;
-      const share = Math.min(1, most / this.cloud.count);
-      this.shown = this.has ? Math.ceil(share * this.cloud.count) : 0;
-      this.points.drawAtMost(Math.ceil(share * this.cloud.count));
+      const { arrived, count } = this.cloud;
+      const most = moving || arrived < count ? this.budget : this.budget * AT_REST;
+      if (arrived && !this.shown) performance.mark(FIRST_PICTURE);
+      this.shown = Math.min(arrived, Math.ceil(most));
+      this.points.drawAtMost(this.shown);
       const perMetre = (this.canvas.clientHeight * this.renderer.getPixelRatio()) / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
-      const pixelsPerMetre = this.spacing_m * perMetre * Math.min(WIDEST, 1 / Math.sqrt(share));
+      const pixelsPerMetre = this.spacing_m * perMetre * Math.min(WIDEST, Math.sqrt(count / Math.max(1, this.shown)));
       this.points.set({ cutHeight: inside ? Infinity : this.cutHeight, pixelsPerMetre, smallest: this.renderer.getPixelRatio() });
     }
     this.renderer.render(this.scene, this.camera);
