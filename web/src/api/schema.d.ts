@@ -691,6 +691,7 @@ export interface components {
         Ablation: "full" | "no_global" | "no_candidate" | "simple_prompt" | "raw_render" | "no_loop";
         /** @description Another instance the question may mean. */
         Alternative: {
+            name: string; oriented_box: components["schemas"]["OrientedBox"]; view: string | null;
             /** @description Axis-aligned box, stray points left out; metres, world frame (Z up). */
             box: components["schemas"]["Aabb"];
             /**
@@ -965,6 +966,7 @@ export interface components {
         };
         /** @description An instance that may be meant. */
         Candidate: {
+            name: string; oriented_box: components["schemas"]["OrientedBox"]; view: string | null;
             /** @description Axis-aligned box, stray points left out; metres, world frame (Z up). */
             box: components["schemas"]["Aabb"];
             /** @description Numbered from 1 within the parse; instances with more points come first. */
@@ -1026,6 +1028,9 @@ export interface components {
             rounds?: number;
         };
         /** @description A new scene and the job that parses it. */
+        Change: { kind: "rename"; instance_id: number; name: string } | { kind: "dismiss"; instance_ids: number[] } | { kind: "merge"; instance_ids: number[]; name?: string } | { kind: "split"; instance_id: number };
+        Correction: { id: string; change: components["schemas"]["Change"]; made: number | null; author: string | null; created_at: string; undone_at: string | null };
+        CorrectionList: { corrections: components["schemas"]["Correction"][] };
         Created: {
             job?: components["schemas"]["Job"] | null;
             /** @description As it stands now; with a known `Idempotency-Key`, the scene that key made before. */
@@ -1374,6 +1379,7 @@ export interface components {
         };
         /** @description One object candidate. Lengths in metres, world frame (Z up). */
         InstanceView: {
+            dismissed: boolean; given_name: string | null; merged_from: number[];
             /** @description Axis-aligned box of the robust bounds. */
             box: components["schemas"]["Aabb"];
             /** @description Share of the points per colour name, those of 10 % and more. */

@@ -65,6 +65,7 @@ export function RoomCanvas({ room, onReady }: { room: Room; onReady: (showWhole:
         aria-label={t.room.canvas(room.scene.value?.name ?? "")}
         aria-describedby="canvas-help"
         data-tool={room.tool.value}
+        data-over={room.photographs.hovered.value !== null}
       />
       <p id="canvas-help" class="offscreen">
         {t.room.canvasHelp}
@@ -93,7 +94,6 @@ async function loadCloud(room: Room, viewer: Viewer, signal: AbortSignal, onShar
     (empty) => {
       viewer.load(empty, room.scene.peek()!.extent!, room.instances.peek());
       viewer.colour(room.colouring.peek());
-      viewer.light(room.lit.peek(), room.tinted.peek());
       startView(room, viewer);
     },
     ({ arrived, count }) => {
@@ -143,8 +143,11 @@ function keepInStep(room: Room, viewer: Viewer): (() => void)[] {
     }),
     effect(() => viewer.colour(room.colouring.value)),
     effect(() => viewer.showBoxes(room.boxes.value)),
+    effect(() => viewer.know(room.instances.value)),
     effect(() => viewer.light(room.lit.value, room.tinted.value)),
     effect(() => viewer.cut(room.cutWalls.value, room.cutHeight.value)),
+    effect(() => viewer.showFrames(room.photographs.shown.value ? room.photographs.chosen.value : [])),
+    effect(() => viewer.highlightFrame(room.photographs.frame(room.photographs.hovered.value))),
     effect(() => viewer.measure(room.ends.value)),
     effect(() => {
       const observer = room.observer.value;

@@ -17,7 +17,7 @@ export function WhyPanel({ room }: { room: Room }) {
     <div class="why" data-answer={answer.id}>
       <p class="quote">{answer.query}</p>
       <Times answer={answer} />
-      {asked ? <Transcript key={answer.id} answer={answer} /> : <Factors room={room} answer={answer} />}
+      {asked ? <Transcript key={answer.id} answer={answer} /> : <Factors answer={answer} />}
       <Corrections answer={answer} />
       <Parts answer={answer} />
     </div>
@@ -51,7 +51,7 @@ function Times({ answer: { timings_ms: times } }: { answer: Answer }) {
   );
 }
 
-function Factors({ room, answer }: { room: Room; answer: Answer }) {
+function Factors({ answer }: { answer: Answer }) {
   // The built-in reasoner sets its reasons side by side.
   const factors = answer.answer.explanation.split("; ");
   return (
@@ -66,11 +66,11 @@ function Factors({ room, answer }: { room: Room; answer: Answer }) {
       {answer.candidates && (
         <table class="figures">
           <tbody>
-            {answer.candidates.map(({ id, rank, score }) => (
+            {answer.candidates.map(({ id, rank, name, score }) => (
               <tr key={id}>
                 <td class="right">{rank}</td>
                 <th scope="row">
-                  {room.name(id)} <span class="number">{id}</span>
+                  {name} <span class="number">{id}</span>
                 </th>
                 <td>
                   <Meter share={score} label={score.toFixed(3)} />

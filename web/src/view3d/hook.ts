@@ -13,6 +13,8 @@ export interface TestHook {
   /** Points in the last picture. */
   shown(): number;
   boxes(): DrawnBox[];
+  /** Cameras that are drawn: number of the frame, and where it was taken. */
+  frames(): { index: number; position: Point }[];
   /** Place of a point of the world in the window, CSS pixels. */
   project(point: Point): { x: number; y: number } | null;
   pick(clientX: number, clientY: number): Picked | null;
@@ -28,6 +30,7 @@ export function offerHook(viewer: Viewer, canvas: HTMLCanvasElement): void {
     loaded: () => viewer.loaded,
     shown: () => viewer.shown,
     boxes: () => viewer.boxes.drawn,
+    frames: () => viewer.frusta.places(),
     project: (point) => {
       const at = viewer.project(point);
       const { left, top } = canvas.getBoundingClientRect();

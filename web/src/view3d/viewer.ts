@@ -6,11 +6,12 @@
  */
 
 import { Color, Object3D, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "three";
-import type { Aabb, InstanceView, Observer, OrientedBox } from "../api/types";
+import type { Aabb, FrameView, InstanceView, Observer, OrientedBox } from "../api/types";
 import { Boxes, type DrawnBox } from "./boxes";
 import type { Cloud } from "./cloud";
 import { Controls, type Pose } from "./controls";
 import { cornersOf, wholeRoom } from "./framing";
+import { Frusta } from "./frusta";
 import { Marks, type Point } from "./marks";
 import { Picker } from "./pick";
 import { type Colouring, CloudPoints, LIT, PLAIN, TINTED } from "./points";
@@ -48,6 +49,7 @@ export class Viewer {
   readonly camera = new PerspectiveCamera(50, 1, 0.05, 200);
   readonly boxes = new Boxes();
   readonly marks = new Marks();
+  readonly frusta = new Frusta();
   /** Called after each picture, for labels that hang on things. */
   onDrawn: () => void = () => undefined;
   /** Milliseconds the last pictures took while the camera moved. */
@@ -65,7 +67,8 @@ export class Viewer {
   private cutHeight = Infinity;
   private spacing_m = 0.02;
   private corners: Point[] = [];
-  private painted: number[] = [];
+  private lit: number[] = [];
+  private tinted: number[] = [];
   private ground = [1, 1, 1];
   private tones = new Map<number, [number, number, number]>();
   private budget = BUDGET;
@@ -77,7 +80,7 @@ export class Viewer {
     const card = hasGraphicsCard();
     this.renderer = new WebGLRenderer({ canvas, antialias: card, powerPreference: "high-performance" });
     this.renderer.setPixelRatio(card ? Math.min(devicePixelRatio, 2) : 1);
-    this.scene.add(this.boxes.group, this.marks.group);
+    this.scene.add(this.boxes.group, this.marks.group, this.frusta.group);
     this.controls = new Controls(this.camera, canvas, () => this.turned());
     this.resizing = new ResizeObserver(() => this.resize());
     this.resizing.observe(canvas.parentElement!);
@@ -105,12 +108,18 @@ export class Viewer {
     this.spacing_m = Math.min(0.06, 1.7 * Math.sqrt((2 * (dx * dy + dy * dz + dx * dz)) / Math.max(1, cloud.count)));
     this.points.set({ heights: [bottom, bottom + dz] });
     this.walls = wallsOf(instances.values(), extent);
-    this.tones = tonesOf(instances);
-    for (const [id, tone] of this.tones) this.points.paint(id, tone, PLAIN);
-    this.points.paint(0, NO_TONE, PLAIN);
+    this.know(instances);
     this.points.set({ ground: this.ground });
     this.corners = cornersOf(instances.values(), extent);
     this.resize();
+  }
+
+  /** What the points are of, as far as it shows in their colours. */
+  know(instances: Map<number, InstanceView>): void {
+    this.tones = tonesOf(instances);
+    this.points?.paint(0, NO_TONE, PLAIN);
+    for (const [id, tone] of this.tones) this.points?.paint(id, tone, PLAIN);
+    this.light(this.lit, this.tinted);
   }
 
   /** More of the cloud has arrived: it is shown before more is waited for. */
@@ -138,10 +147,10 @@ export class Viewer {
   /** Brings out some instances before all others, and tints some. */
   light(lit: number[], tinted: number[]): void {
     const paint = (ids: number[], state: number) => ids.forEach((id) => this.points?.paint(id, this.tones.get(id) ?? NO_TONE, state));
-    paint(this.painted, PLAIN);
+    paint([...this.lit, ...this.tinted], PLAIN);
     paint(tinted, TINTED);
     paint(lit, LIT);
-    this.painted = [...lit, ...tinted];
+    [this.lit, this.tinted] = [lit, tinted];
     this.points?.set({ fade: lit.length ? 1 : 0 });
     this.draw();
   }
@@ -158,6 +167,16 @@ export class Viewer {
 
   stand(observer: Observer | null): void {
     this.marks.stand(observer);
+    this.draw();
+  }
+
+  showFrames(frames: FrameView[]): void {
+    this.frusta.show(frames);
+    this.draw();
+  }
+
+  highlightFrame(frame: FrameView | null): void {
+    this.frusta.highlight(frame);
     this.draw();
   }
 
@@ -184,6 +203,12 @@ export class Viewer {
     const i = this.picker.at(this.renderer, this.camera, this.points, clientX - left, clientY - top);
     if (i === null) return null;
     return { point: this.cloud.position(i), instance: this.cloud.instance(i) };
+  }
+
+  /** Number of the frame that is drawn at a place of the window. */
+  pickFrame(clientX: number, clientY: number): number | null {
+    const { left, top, width, height } = this.canvas.getBoundingClientRect();
+    return this.frusta.at(this.camera, width, height, clientX - left, clientY - top);
   }
 
   /** Where a place of the world lies on the canvas, CSS pixels; `null` behind the camera. */
@@ -257,6 +282,7 @@ export class Viewer {
     this.points?.dispose();
     this.boxes.dispose();
     this.marks.dispose();
+    this.frusta.dispose();
     this.picker.dispose();
     this.renderer.dispose();
   }
@@ -272,17 +298,23 @@ function hasGraphicsCard(): boolean {
   return !/swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
 }
 
-/** A tone for each instance, far from its neighbours' in number; parts of the building are grey. */
+/** A tone for each instance, far from its neighbours' in number; parts of the building, and junk, are grey. */
 function tonesOf(instances: Map<number, InstanceView>): Map<number, [number, number, number]> {
   const tones = new Map<number, [number, number, number]>();
-  for (const [id, { structure }] of instances) {
-    if (structure) {
+  for (const [id, { structure, dismissed }] of instances) {
+    if (dismissed) {
+      tones.set(id, NO_TONE);
+    } else if (structure) {
       const grey = structure === "floor" ? 120 : 165;
       tones.set(id, [grey, grey, grey]);
     } else {
       const hue = (id * 0.6180339887) % 1;
       tones.set(id, tone(hue, 0.5 + 0.2 * ((id * 0.37) % 1), 0.5 + 0.15 * ((id * 0.73) % 1)));
     }
+  }
+  // What was joined has one tone; what was joined of joined things comes later, and is to be passed on first.
+  for (const { id, merged_from } of [...instances.values()].sort((a, b) => b.id - a.id)) {
+    for (const member of merged_from) tones.set(member, tones.get(id)!);
   }
   return tones;
 }
