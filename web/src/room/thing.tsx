@@ -37,12 +37,14 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
       {renaming ? (
         <RenameForm name={name} label={t.corrections.newName} maxLength={NAME_LENGTH} onDone={rename} />
       ) : (
-        <h3 ref={heading} tabIndex={-1} class="big">
-          {name} <span class="small">{t.answer.instance(thing.id)}</span>
+        <div class="named">
+          <h3 ref={heading} tabIndex={-1} class="big">
+            {name} <span class="small">{t.answer.instance(thing.id)}</span>
+          </h3>
           <button type="button" class="quiet" onClick={() => setRenaming(true)}>
             {t.rename}
           </button>
-        </h3>
+        </div>
       )}
       {thing.views[0] && <Picture path={viewPath(room.id, thing.id, 0, "crop")} alt={t.things.view(name, thing.views[0].frame)} class="crop" />}
       <dl class="fields">
@@ -71,12 +73,7 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
             <Links room={room} things={parts} />
           </Row>
         )}
-        {thing.given_name && <Row term={t.corrections.cutAs}>{thing.model_name ?? thing.label}</Row>}
-        {thing.merged_from.length > 0 && (
-          <Row term={t.things.madeOf}>
-            <Links room={room} things={thing.merged_from.flatMap((id) => all.get(id) ?? [])} />
-          </Row>
-        )}
+        {thing.given_name && <Row term={t.corrections.cutAs}>{thing.label}</Row>}
         {thing.model_name && <Row term={t.things.modelName}>{thing.model_name}</Row>}
         {thing.names.length > 0 && (
           <Row term={t.things.names}>{thing.names.map((guess) => `${guess.name} ${guess.score.toFixed(2)}`).join(", ")}</Row>
