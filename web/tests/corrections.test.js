@@ -143,6 +143,34 @@ function findPointOf({ ids, boxes }) {
   return null;
 }
 
+test("what is not one thing leaves its parts, and a click on it means one of them", async () => {
+  const { page, complaints, close } = await open("?tab=things");
+  await drawn(page);
+  const { instances } = await (await fetch(`${service.api}/v1/scenes/${scene.id}/instances?limit=1000&level=all`)).json();
+  const partsOf = ({ id }) => instances.filter(({ level, things }) => level === "part" && things.includes(id));
+  const whole = instances.find((one) => one.level === "thing" && !one.structure && !one.dismissed && partsOf(one).length > 1);
+  const parts = partsOf(whole).map(({ id }) => id);
+  await openThing(page, whole.id);
+  await page.getByRole("button", { name: "This is not one thing" }).click();
+  await row(page, parts[0]).waitFor();
+  assert.equal(await row(page, whole.id).count(), 0);
+  await page.getByRole("button", { name: "Whole room" }).click();
+  await page.waitForTimeout(600);
+  const at = await page.evaluate(findPointOf, { ids: [whole.id], boxes: partsOf(whole).map(({ box }) => box) });
+  assert.ok(at, "none of its points is in sight");
+  await page.mouse.click(at.x, at.y);
+  const shown = page.locator("[data-instance]");
+  await shown.waitFor();
+  assert.ok(parts.includes(Number(await shown.getAttribute("data-instance"))));
+  await keep(page, "taken-apart");
+
+  await page.getByRole("button", { name: "← Back to the list" }).click();
+  await undoAll(page);
+  await row(page, whole.id).waitFor();
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
 test("what has no known parts can not be taken apart, and what to do then is told", async () => {
   const { page, complaints, close } = await open("?tab=things");
   const { instances } = await (await fetch(`${service.api}/v1/scenes/${scene.id}/instances?limit=1000&level=all`)).json();

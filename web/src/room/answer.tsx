@@ -130,7 +130,7 @@ function Instances({ room, entries }: { room: Room; entries: Entry[] }) {
             onMouseLeave={() => (room.hovered.value = null)}
           >
             <span class="number">{id}</span>
-            <span>{name}</span>
+            <span>{name || room.name(id)}</span>
             {view && <Picture path={view} alt="" class="stamp" />}
             <Meter share={share} label={share.toFixed(2)} />
             <span class="figures">{share.toFixed(2)}</span>

@@ -93,6 +93,7 @@ async function loadCloud(room: Room, viewer: Viewer, signal: AbortSignal, onShar
     pointsFile(room.id, signal),
     (empty) => {
       viewer.load(empty, room.scene.peek()!.extent!, room.instances.peek());
+      know(room, viewer);
       viewer.colour(room.colouring.peek());
       startView(room, viewer);
     },
@@ -104,6 +105,8 @@ async function loadCloud(room: Room, viewer: Viewer, signal: AbortSignal, onShar
     },
   );
 }
+
+const know = (room: Room, viewer: Viewer) => viewer.know(room.instances.value, (cut) => room.standing(cut));
 
 function startView(room: Room, viewer: Viewer): void {
   const linked = readPose(route.peek().parameters.get("cam"));
@@ -143,7 +146,7 @@ function keepInStep(room: Room, viewer: Viewer): (() => void)[] {
     }),
     effect(() => viewer.colour(room.colouring.value)),
     effect(() => viewer.showBoxes(room.boxes.value)),
-    effect(() => viewer.know(room.instances.value)),
+    effect(() => know(room, viewer)),
     effect(() => viewer.light(room.lit.value, room.tinted.value)),
     effect(() => viewer.cut(room.cutWalls.value, room.cutHeight.value)),
     effect(() => viewer.showFrames(room.photographs.shown.value ? room.photographs.chosen.value : [])),

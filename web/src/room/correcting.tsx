@@ -7,7 +7,7 @@ import { annotationsPath } from "../api/service";
 import type { Change, Correction, InstanceView } from "../api/types";
 import { t } from "../text";
 import { ProblemNote } from "../ui/problem";
-import { nameOf } from "./names";
+import { foundAs, nameOf } from "./names";
 import type { Room } from "./state";
 
 /** Longest name the service takes. */
@@ -156,5 +156,6 @@ function called(room: Room, id: number): string {
 
 /** As the parse called it: what people call it is what corrections say. */
 function cutAs(room: Room, id: number): string {
-  return t.things.onThing(room.instances.value.get(id)?.label ?? "", id);
+  const thing = room.instances.value.get(id);
+  return t.things.onThing(thing ? foundAs(thing) : "", id);
 }

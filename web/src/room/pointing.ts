@@ -25,7 +25,7 @@ export function usePointing(viewer: Viewer | null, canvas: RefObject<HTMLCanvasE
         const frame = viewer.pickFrame(event.clientX, event.clientY);
         room.photographs.hovered.value = frame;
         const picked = frame === null ? viewer.pick(event.clientX, event.clientY) : null;
-        room.hovered.value = picked && room.standing(picked.instance);
+        room.hovered.value = picked && room.standing(picked.instance, picked.point);
       }, REST_MS);
     };
     const escape = (event: KeyboardEvent) => {
@@ -60,7 +60,7 @@ function click(viewer: Viewer, room: Room, event: PointerEvent): void {
   } else if (frame !== null) {
     room.photographs.open.value = frame;
   } else {
-    choose(room, picked && room.standing(picked.instance), event);
+    choose(room, picked && room.standing(picked.instance, picked.point), event);
   }
 }
 

@@ -87,7 +87,7 @@ export class Room {
       if (scene.status !== "ready") return;
       await this.lookAgain(signal);
       this.cutHeight.value = ceilingOf([...this.instances.value.values()]);
-      void this.corrections.load();
+      await this.corrections.load();
       await this.reopen();
       this.models.value = await getModels().catch(() => null);
     } catch (thrown) {
@@ -99,9 +99,9 @@ export class Room {
   private async lookAgain(signal?: AbortSignal): Promise<void> {
     const instances = await allInstances(this.id, signal);
     this.instances.value = new Map(instances.map((instance) => [instance.id, instance]));
-    const gone = (id: number | null) => id !== null && !this.instances.value.has(id);
-    if (gone(this.selected.value)) this.select(null);
-    this.group.value = this.group.value.filter((id) => !gone(id));
+    const there = (id: number) => this.instances.value.get(id)?.dismissed === false || this.corrections.junk.value.has(id);
+    if (this.selected.value !== null && !there(this.selected.value)) this.select(null);
+    this.group.value = this.group.value.filter(there);
   }
 
   /** What a link asks for. */
@@ -185,10 +185,15 @@ export class Room {
     this.select(made.made, false);
   }
 
-  /** What the number of a point means now: people may have joined what the parse cut, or called it junk. */
-  standing(cut: number): number | null {
+  /**
+   * What the number of a point means now: people may have joined what the parse cut, taken it apart, or called it junk.
+   * Which part of what was taken apart a point belongs to, only boxes tell.
+   */
+  standing(cut: number, point?: Point): number | null {
     const instance = this.instances.value.get(cut);
-    if (!instance || instance.dismissed) return null;
+    if (!instance) return null;
+    if (this.corrections.split.value.has(cut)) return (point && this.partsOf(instance).find(({ box }) => holds(box, point))?.id) ?? null;
+    if (instance.dismissed) return null;
     const whole = this.mergedInto(instance);
     return whole === null ? cut : this.standing(whole);
   }
@@ -202,18 +207,20 @@ export class Room {
     return extent ? extent.center[2]! - extent.size[2]! / 2 : 0;
   }
 
-  /** What a box is called: by people, by the answer, else as in the list of things. */
+  /** What a box is called: by people, by the answer (those of long ago name no candidates), else as in the list of things. */
   name(id: number): string {
     const answer = this.answer.value;
     const found = this.sameParse.value ? this.instances.value.get(id) : undefined;
     const told = [...(answer?.targets ?? []), ...(answer?.candidates ?? []), ...(answer?.alternatives ?? [])].find((one) => one.id === id);
-    return found?.given_name ?? answer?.answer.candidate_names[id] ?? told?.name ?? (found ? nameOf(found) : "");
+    return found?.given_name ?? answer?.answer.candidate_names[id] ?? (told?.name || (found ? nameOf(found) : ""));
   }
 
   /** Points know the thing only that the parse cut: a part has its thing's, a whole those of all it is made of. */
   private cutsOf(id: number): number[] {
     const instance = this.instances.value.get(id);
     if (!instance) return [id];
+    const split = [...this.corrections.split.value].find((thing) => this.partsOf(this.instances.value.get(thing)!).includes(instance));
+    if (split !== undefined) return [split];
     if (instance.merged_from.length) return instance.merged_from.flatMap((member) => this.cutsOf(member));
     return instance.things?.length && this.mergedInto(instance) === null ? instance.things : [id];
   }
@@ -222,6 +229,15 @@ export class Room {
   private mergedInto({ id, level, things }: InstanceView): number | null {
     const whole = level === "part" ? things?.[0] : undefined;
     return whole !== undefined && this.instances.value.get(whole)?.merged_from.includes(id) ? whole : null;
+  }
+
+  /** What a thing was taken apart into, the smallest first. Its parts are numbered after all things of the parse, and lie in its box. */
+  private partsOf({ box }: InstanceView): InstanceView[] {
+    const things = this.scene.value?.counts?.instances ?? 0;
+    const part = ({ id, dismissed, level, merged_from, found_for, box: own }: InstanceView) =>
+      id > things && !dismissed && level === "thing" && !merged_from.length && !found_for && holds(box, own.center);
+    const volume = ({ box: { size } }: InstanceView) => size.reduce((product, length) => product * length, 1);
+    return [...this.instances.value.values()].filter(part).sort((a, b) => volume(a) - volume(b));
   }
 
   /** What was chosen by hand. */
@@ -285,6 +301,8 @@ export function around(boxes: OrientedBox[]): OrientedBox {
   });
   return { center: ends.map(([low, high]) => (low + high) / 2), size: ends.map(([low, high]) => high - low), yaw_rad: 0 };
 }
+
+const holds = ({ center, size }: Aabb, point: number[]) => point.every((figure, axis) => Math.abs(figure - center[axis]!) <= size[axis]! / 2);
 
 /** Where the room is cut at first: below its ceiling, where one was scanned. */
 function ceilingOf(instances: InstanceView[]): number {

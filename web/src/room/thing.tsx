@@ -73,7 +73,6 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
             <Links room={room} things={parts} />
           </Row>
         )}
-        {thing.given_name && <Row term={t.corrections.cutAs}>{thing.label}</Row>}
         {thing.model_name && <Row term={t.things.modelName}>{thing.model_name}</Row>}
         {thing.names.length > 0 && (
           <Row term={t.things.names}>{thing.names.map((guess) => `${guess.name} ${guess.score.toFixed(2)}`).join(", ")}</Row>

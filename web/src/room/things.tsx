@@ -10,9 +10,7 @@ import { nameOf } from "./names";
 import { addsToChoice } from "./pointing";
 import type { Room } from "./state";
 
-/** What is listed together: what people called junk stands alone. */
 type Listed = keyof typeof t.things.levels;
-const listedAs = ({ dismissed, level }: InstanceView): Listed => (dismissed ? "junk" : (level ?? "thing"));
 
 /** Rows drawn at once. */
 const ROWS = 150;
@@ -24,9 +22,9 @@ export function ThingsPanel({ room }: { room: Room }) {
   const found = useMemo(() => {
     const words = search.toLowerCase().split(/\s+/).filter(Boolean);
     return [...room.instances.value.values()].filter(
-      (thing) => listedAs(thing) === level && words.every((word) => textOf(thing).includes(word)),
+      (thing) => listedAs(room, thing) === level && words.every((word) => textOf(thing).includes(word)),
     );
-  }, [room.instances.value, search, level]);
+  }, [room.instances.value, room.corrections.junk.value, search, level]);
 
   const list = (
     <>
@@ -87,6 +85,12 @@ export function ThingsPanel({ room }: { room: Room }) {
       {selected ? <ThingDetails key={selected.id} room={room} thing={selected} /> : list}
     </>
   );
+}
+
+/** What people called junk stands alone; what they took apart, and what is joined no longer, nowhere. */
+function listedAs(room: Room, { id, dismissed, level }: InstanceView): Listed | null {
+  if (dismissed) return room.corrections.junk.value.has(id) ? "junk" : null;
+  return level ?? "thing";
 }
 
 const textOf = ({ id, label, model_name, given_name, names, colours }: InstanceView) =>

@@ -17,7 +17,7 @@ export function WhyPanel({ room }: { room: Room }) {
     <div class="why" data-answer={answer.id}>
       <p class="quote">{answer.query}</p>
       <Times answer={answer} />
-      {asked ? <Transcript key={answer.id} answer={answer} /> : <Factors answer={answer} />}
+      {asked ? <Transcript key={answer.id} answer={answer} /> : <Factors room={room} answer={answer} />}
       <Corrections answer={answer} />
       <Parts answer={answer} />
     </div>
@@ -51,7 +51,7 @@ function Times({ answer: { timings_ms: times } }: { answer: Answer }) {
   );
 }
 
-function Factors({ answer }: { answer: Answer }) {
+function Factors({ room, answer }: { room: Room; answer: Answer }) {
   // The built-in reasoner sets its reasons side by side.
   const factors = answer.answer.explanation.split("; ");
   return (
@@ -70,7 +70,7 @@ function Factors({ answer }: { answer: Answer }) {
               <tr key={id}>
                 <td class="right">{rank}</td>
                 <th scope="row">
-                  {name} <span class="number">{id}</span>
+                  {name || room.name(id)} <span class="number">{id}</span>
                 </th>
                 <td>
                   <Meter share={score} label={score.toFixed(3)} />

@@ -95,7 +95,7 @@ export class Viewer {
     this.draw();
   }
 
-  /** Takes a cloud that is still empty; it stands where the extent says. */
+  /** Takes a cloud that is still empty; it stands where the extent says. What its points are of is to be told next. */
   load(cloud: Cloud, extent: Aabb, instances: Map<number, InstanceView>): void {
     this.points?.dispose();
     if (this.points) this.scene.remove(this.points.points);
@@ -108,15 +108,14 @@ export class Viewer {
     this.spacing_m = Math.min(0.06, 1.7 * Math.sqrt((2 * (dx * dy + dy * dz + dx * dz)) / Math.max(1, cloud.count)));
     this.points.set({ heights: [bottom, bottom + dz] });
     this.walls = wallsOf(instances.values(), extent);
-    this.know(instances);
     this.points.set({ ground: this.ground });
     this.corners = cornersOf(instances.values(), extent);
     this.resize();
   }
 
-  /** What the points are of, as far as it shows in their colours. */
-  know(instances: Map<number, InstanceView>): void {
-    this.tones = tonesOf(instances);
+  /** Takes what the points are of: for each number that points have, the instance it means now, or `null`. */
+  know(instances: Map<number, InstanceView>, standing: (cut: number) => number | null): void {
+    this.tones = tonesOf(instances, standing);
     this.points?.paint(0, NO_TONE, PLAIN);
     for (const [id, tone] of this.tones) this.points?.paint(id, tone, PLAIN);
     this.light(this.lit, this.tinted);
@@ -298,25 +297,21 @@ function hasGraphicsCard(): boolean {
   return !/swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
 }
 
-/** A tone for each instance, far from its neighbours' in number; parts of the building, and junk, are grey. */
-function tonesOf(instances: Map<number, InstanceView>): Map<number, [number, number, number]> {
+/** A tone for each number that points have: that of the instance it means. */
+function tonesOf(instances: Map<number, InstanceView>, standing: (cut: number) => number | null): Map<number, [number, number, number]> {
   const tones = new Map<number, [number, number, number]>();
-  for (const [id, { structure, dismissed }] of instances) {
-    if (dismissed) {
-      tones.set(id, NO_TONE);
-    } else if (structure) {
-      const grey = structure === "floor" ? 120 : 165;
-      tones.set(id, [grey, grey, grey]);
-    } else {
-      const hue = (id * 0.6180339887) % 1;
-      tones.set(id, tone(hue, 0.5 + 0.2 * ((id * 0.37) % 1), 0.5 + 0.15 * ((id * 0.73) % 1)));
-    }
-  }
-  // What was joined has one tone; what was joined of joined things comes later, and is to be passed on first.
-  for (const { id, merged_from } of [...instances.values()].sort((a, b) => b.id - a.id)) {
-    for (const member of merged_from) tones.set(member, tones.get(id)!);
+  for (const cut of instances.keys()) {
+    const instance = instances.get(standing(cut) ?? 0);
+    tones.set(cut, instance ? toneOf(instance) : NO_TONE);
   }
   return tones;
+}
+
+/** Far from that of its neighbours in number; parts of the building are grey. */
+function toneOf({ id, structure }: InstanceView): [number, number, number] {
+  if (!structure) return tone((id * 0.6180339887) % 1, 0.5 + 0.2 * ((id * 0.37) % 1), 0.5 + 0.15 * ((id * 0.73) % 1));
+  const grey = structure === "floor" ? 120 : 165;
+  return [grey, grey, grey];
 }
 
 function tone(hue: number, saturation: number, lightness: number): [number, number, number] {
