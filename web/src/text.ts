@@ -136,7 +136,7 @@ export const t = {
   scenes: {
     title: "Scenes",
     empty: "No scenes yet.",
-    emptyHint: "Upload a scan to begin, or look around in the sample: a living room with 24 things.",
+    emptyHint: "Upload a scan to begin, or look around in the sample, a living room.",
     sample: "Open the sample scene",
     points: (n: number) => plural(n, "point"),
     things: (n: number) => plural(n, "thing"),
