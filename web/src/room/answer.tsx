@@ -113,7 +113,7 @@ function Seen({ answer }: { answer: Answer }) {
   );
 }
 
-interface Entry { id: number; name: string; share: number; view?: string | null }
+interface Entry { id: number; name?: string; share: number; view?: string | null }
 
 function Instances({ room, entries }: { room: Room; entries: Entry[] }) {
   return (

@@ -182,7 +182,7 @@ export class Room {
     const made = await this.corrections.make(change);
     if (!made || change.kind === "rename") return;
     this.group.value = [];
-    this.select(made.made, false);
+    this.select(made.made ?? null, false);
   }
 
   /**
@@ -221,21 +221,21 @@ export class Room {
     if (!instance) return [id];
     const split = [...this.corrections.split.value].find((thing) => this.partsOf(this.instances.value.get(thing)!).includes(instance));
     if (split !== undefined) return [split];
-    if (instance.merged_from.length) return instance.merged_from.flatMap((member) => this.cutsOf(member));
+    if (instance.merged_from?.length) return instance.merged_from.flatMap((member) => this.cutsOf(member));
     return instance.things?.length && this.mergedInto(instance) === null ? instance.things : [id];
   }
 
   /** The thing that people made of this one and others. */
   private mergedInto({ id, level, things }: InstanceView): number | null {
     const whole = level === "part" ? things?.[0] : undefined;
-    return whole !== undefined && this.instances.value.get(whole)?.merged_from.includes(id) ? whole : null;
+    return whole !== undefined && this.instances.value.get(whole)?.merged_from?.includes(id) ? whole : null;
   }
 
   /** What a thing was taken apart into, the smallest first. Its parts are numbered after all things of the parse, and lie in its box. */
   private partsOf({ box }: InstanceView): InstanceView[] {
     const things = this.scene.value?.counts?.instances ?? 0;
     const part = ({ id, dismissed, level, merged_from, found_for, box: own }: InstanceView) =>
-      id > things && !dismissed && level === "thing" && !merged_from.length && !found_for && holds(box, own.center);
+      id > things && !dismissed && level === "thing" && !merged_from?.length && !found_for && holds(box, own.center);
     const volume = ({ box: { size } }: InstanceView) => size.reduce((product, length) => product * length, 1);
     return [...this.instances.value.values()].filter(part).sort((a, b) => volume(a) - volume(b));
   }
