@@ -333,7 +333,7 @@ export const t = {
     count: (n: number, all: number) => (n === all ? plural(n, "photograph") : `${n} of ${plural(all, "photograph")}, evenly chosen`),
     name: (frame: number) => `Frame ${frame}`,
     from: (where: string, degrees: number) => `${where} m, towards ${degrees}°`,
-    alt: (name: string) => `${name}, with what was found outlined`,
+    alt: (name: string) => `${name}, with what was found painted in`,
     before: "← Previous",
     after: "Next →",
     which: (n: number, all: number) => `${n} of ${all}`,

@@ -1,4 +1,4 @@
-/** The photographs of the scan as a list, and one of them in full, with what was found drawn in. */
+/** The photographs of the scan as a list, and one of them in full, with what was found painted in. */
 
 import { useEffect } from "preact/hooks";
 import { photographPath } from "../api/service";
