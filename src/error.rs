@@ -48,7 +48,9 @@ pub enum Error {
     CorrectionInUse { by: String },
     #[error("instance {id} is no thing whose points are known, but a part, a whole, found for a question, or gone: it can not be merged")]
     NotAThing { id: InstanceId },
-    #[error("no parts of instance {id} are known, so that nothing would take its place: dismiss it, or parse the scene with finer settings")]
+    #[error(
+        "no parts of instance {id} are known, so that nothing would take its place: dismiss it, or parse the scene with finer settings"
+    )]
     NoParts { id: InstanceId },
     #[error("a parse has at most {most} corrections")]
     TooManyCorrections { most: u32 },
@@ -244,7 +246,7 @@ impl Error {
             Self::ReportPictureNotFound { .. } => "report_picture_not_found",
             Self::NoEmbeddings { .. } => "no_embeddings",
             Self::AnswerNotFound { .. } => "answer_not_found",
-            Self::NoScan { .. } => "unsupported_media_type",
+            Self::NoScan { .. } => "archive_unreadable",
             Self::FrameNotFound { .. } => "frame_not_found",
             Self::CorrectionNotFound { .. } => "correction_not_found",
             Self::CorrectionInUse { .. } => "correction_in_use",

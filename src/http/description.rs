@@ -45,20 +45,40 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
         "206" => Some(("The part that `Range` names", None)),
         "304" => Some(("Nothing has changed since the `ETag` that `If-None-Match` shows", None)),
         "400" => problem("The body can not be read", "malformed_json", "expected `,` or `}` at line 1 column 17"),
-        "401" => problem("No key, or one that is not known (any more)", "unauthorized", "this server wants a key: Authorization: Bearer <key>"),
+        "401" => problem(
+            "No key, or one that is not known (any more)",
+            "unauthorized",
+            "this server wants a key: Authorization: Bearer <key>",
+        ),
         "402" => problem("The money for it is spent", "budget_spent", "the question's budget does not pay for another call"),
         "403" => problem("The key may not do this", "scope_missing", "this key may \"read\", this needs a key that may \"write\""),
         "404" => problem("There is no such thing", "scene_not_found", "there is no scene 01a1ff70-0000-7000-8000-000000000001"),
         "408" => problem("The body comes too slowly", "body_too_slow", "a JSON body is sent within 20 s"),
-        "409" => problem("Not as things are now", "scene_not_ready", "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet"),
+        "409" => problem(
+            "Not as things are now",
+            "scene_not_ready",
+            "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
+        ),
         "413" => problem("The body is too large", "body_too_large", "a JSON body has at most 1048576 bytes"),
-        "415" => problem("Another content type is wanted", "unsupported_media_type", "the body must be application/json, not \"text/plain\""),
+        "415" => problem(
+            "Another content type is wanted",
+            "unsupported_media_type",
+            "the body must be application/json, not \"text/plain\"",
+        ),
         "416" => Some(("The file has no such part", None)),
         "421" => problem("The server is called by a name that is not its own", "host_not_allowed", "this server is not evil.example"),
         "422" => problem("A field or parameter makes no sense", "invalid_request", "/top_k: must be 1 to 100"),
         "429" => problem("Too much at once: again after `Retry-After`", "rate_limited", "this key asks too often: try again in 12 s"),
-        "502" => problem("A model failed", "vlm_unavailable", "the vision-language model could not be asked, in 5 attempts: it answered 500"),
-        "503" => problem("Not now: again after `Retry-After`", "vlm_down", "the vision-language model's server is down: it is tried again in 20 s"),
+        "502" => problem(
+            "A model failed",
+            "vlm_unavailable",
+            "the vision-language model could not be asked, in 5 attempts: it answered 500",
+        ),
+        "503" => problem(
+            "Not now: again after `Retry-After`",
+            "vlm_down",
+            "the vision-language model's server is down: it is tried again in 20 s",
+        ),
         "504" => problem("It took longer than was allowed", "question_timed_out", "the question took longer than 5 s"),
         "507" => problem("The disk is full", "storage_full", "the server's disk is full: delete scenes, or ask its operator"),
         _ => None,
@@ -98,7 +118,11 @@ fn may_meet(operation: &mut Operation, path: &str, changes: bool) {
     // A page of another origin; a name that is not the server's.
     let refused = changes.then_some(StatusCode::FORBIDDEN).into_iter().chain([StatusCode::MISDIRECTED_REQUEST]);
     for status in refused {
-        let problem = || ResponseBuilder::new().content(PROBLEM, Content::new(Some(Ref::from_schema_name("Problem")))).build();
+        let problem = || {
+            ResponseBuilder::new()
+                .content(PROBLEM, Content::new(Some(Ref::from_schema_name("Problem"))))
+                .build()
+        };
         responses.entry(status.as_str().to_owned()).or_insert_with(|| problem().into());
     }
 }

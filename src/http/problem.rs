@@ -126,7 +126,7 @@ fn status_of(error: &Error) -> StatusCode {
             IngestError::Cancelled(_) => StatusCode::CONFLICT,
             IngestError::Io { .. } => StatusCode::INTERNAL_SERVER_ERROR,
         },
-        Error::Parse(_) | Error::Invalid { .. } | Error::IdempotencyKeyReused => StatusCode::UNPROCESSABLE_ENTITY,
+        Error::Parse(_) | Error::Invalid { .. } | Error::IdempotencyKeyReused | Error::NoScan { .. } => StatusCode::UNPROCESSABLE_ENTITY,
         Error::Jobs(error) => match error {
             JobsError::NotFound { .. } => StatusCode::NOT_FOUND,
             JobsError::QueueFull { .. } => StatusCode::TOO_MANY_REQUESTS,
@@ -159,7 +159,6 @@ fn status_of(error: &Error) -> StatusCode {
         Error::DiskNearlyFull { .. } => StatusCode::INSUFFICIENT_STORAGE,
         Error::Overloaded | Error::TooMany { .. } => StatusCode::TOO_MANY_REQUESTS,
         Error::ParseDamaged { .. } | Error::VlmDown { .. } => StatusCode::SERVICE_UNAVAILABLE,
-        Error::NoScan { .. } => StatusCode::UNSUPPORTED_MEDIA_TYPE,
         Error::UploadTooSlow { .. } => StatusCode::REQUEST_TIMEOUT,
         Error::UploadTooLarge { .. } | Error::TooManyItems { .. } => StatusCode::PAYLOAD_TOO_LARGE,
         Error::UploadInterrupted { .. } => StatusCode::BAD_REQUEST,

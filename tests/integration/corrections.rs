@@ -23,7 +23,13 @@ async fn answers_know_what_people_have_said() {
     // A name.
     let name = "Grandma's bench";
     let renamed = client.correct(&scene.id, &Change::Rename { instance_id: sofa, name: name.into() }).await.unwrap();
-    let told = client.all_instances(&scene.id, Levels::Things).await.unwrap().into_iter().find(|i| i.id == sofa).unwrap();
+    let told = client
+        .all_instances(&scene.id, Levels::Things)
+        .await
+        .unwrap()
+        .into_iter()
+        .find(|i| i.id == sofa)
+        .unwrap();
     assert_eq!((told.label.as_str(), told.given_name.as_deref()), (name, Some(name)));
     let answer = chosen("the bench").await;
     assert_eq!((answer.status, answer.answer.predicted_id), (Status::Grounded, Some(sofa)), "{answer:?}");
@@ -40,7 +46,14 @@ async fn answers_know_what_people_have_said() {
     assert!(answer.candidates.unwrap().iter().all(|c| c.id != bin));
     let listed = client.all_instances(&scene.id, Levels::Things).await.unwrap();
     assert!(listed.iter().all(|i| i.id != bin && !i.dismissed));
-    assert!(client.all_instances(&scene.id, Levels::All).await.unwrap().iter().any(|i| i.id == bin && i.dismissed));
+    assert!(
+        client
+            .all_instances(&scene.id, Levels::All)
+            .await
+            .unwrap()
+            .iter()
+            .any(|i| i.id == bin && i.dismissed)
+    );
 
     // Taken back, all is as it was; what was said stays readable.
     for correction in [&junk, &renamed] {
@@ -50,7 +63,10 @@ async fn answers_know_what_people_have_said() {
     assert_eq!((again.answer.clone(), again.aabb), (before.answer.clone(), before.aabb));
     assert_eq!(chosen("the green trash can").await.answer.predicted_id, Some(bin));
     let said = client.corrections(&scene.id).await.unwrap().corrections;
-    assert_eq!(said.iter().map(|c| (c.id.as_str(), c.undone_at.is_some())).collect::<Vec<_>>(), [(&*junk.id, true), (&*renamed.id, true)]);
+    assert_eq!(
+        said.iter().map(|c| (c.id.as_str(), c.undone_at.is_some())).collect::<Vec<_>>(),
+        [(&*junk.id, true), (&*renamed.id, true)]
+    );
     server.stop().await;
 }
 
@@ -84,7 +100,10 @@ async fn things_that_are_one_become_one() {
     let refused = problem(client.correct(&scene.id, &Change::Merge { instance_ids: vec![sofa, made], name: None }).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "not_a_thing"));
     let bin = client.ground(&scene.id, &ask("the green trash can")).await.unwrap().answer.predicted_id.unwrap();
-    let larger = client.correct(&scene.id, &Change::Merge { instance_ids: vec![made, bin], name: None }).await.unwrap();
+    let larger = client
+        .correct(&scene.id, &Change::Merge { instance_ids: vec![made, bin], name: None })
+        .await
+        .unwrap();
     let all = client.all_instances(&scene.id, Levels::Things).await.unwrap();
     let larger_one = all.iter().find(|i| Some(i.id) == larger.made).unwrap();
     assert_eq!(larger_one.point_count, one.point_count + of(bin).point_count);
@@ -93,7 +112,10 @@ async fn things_that_are_one_become_one() {
     for correction in [&larger, &merged] {
         client.undo_correction(&scene.id, &correction.id).await.unwrap();
     }
-    assert_eq!(client.all_instances(&scene.id, Levels::Things).await.unwrap(), before.into_iter().filter(|i| i.level == Level::Thing).collect::<Vec<_>>());
+    assert_eq!(
+        client.all_instances(&scene.id, Levels::Things).await.unwrap(),
+        before.into_iter().filter(|i| i.level == Level::Thing).collect::<Vec<_>>()
+    );
 
     // It outlives the server.
     let again = client.correct(&scene.id, &merge).await.unwrap().made.unwrap();
@@ -117,11 +139,15 @@ async fn what_can_not_be_corrected_is_told() {
     assert_eq!(refused(json!({"kind": "rename", "instance_id": 999, "name": "x"})).await, unknown(404, "instance_not_found"));
     assert_eq!(refused(json!({"kind": "rename", "instance_id": 0, "name": "x"})).await, unknown(404, "instance_not_found"));
     assert_eq!(refused(json!({"kind": "rename", "instance_id": 1, "name": " "})).await, unknown(422, "invalid_request"));
-    assert_eq!(refused(json!({"kind": "rename", "instance_id": 1, "name": "two\nlines"})).await, unknown(422, "invalid_request"));
+    assert_eq!(
+        refused(json!({"kind": "rename", "instance_id": 1, "name": "two\nlines"})).await,
+        unknown(422, "invalid_request")
+    );
     assert_eq!(refused(json!({"kind": "dismiss", "instance_ids": []})).await, unknown(422, "invalid_request"));
     assert_eq!(refused(json!({"kind": "merge", "instance_ids": [1, 1]})).await, unknown(422, "invalid_request"));
     let things = server.client.all_instances(&scene.id, Levels::All).await.unwrap();
-    let whole = |i: &&uniground_types::instances::InstanceView| things.iter().all(|part| part.level != Level::Part || part.things != [i.id]);
+    let whole =
+        |i: &&uniground_types::instances::InstanceView| things.iter().all(|part| part.level != Level::Part || part.things != [i.id]);
     let without_parts = things.iter().filter(|i| i.level == Level::Thing).find(whole).unwrap();
     assert_eq!(refused(json!({"kind": "split", "instance_id": without_parts.id})).await, unknown(409, "no_parts"));
     let gone = problem(server.client.undo_correction(&scene.id, "01a1ff70-0000-7000-8000-000000000001").await);
@@ -134,7 +160,11 @@ async fn ground_truth_is_read_by_the_evaluation() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::neutral().zip()).await;
     let sofa = server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap().answer.predicted_id.unwrap();
-    server.client.correct(&scene.id, &Change::Rename { instance_id: sofa, name: "red sofa".into() }).await.unwrap();
+    server
+        .client
+        .correct(&scene.id, &Change::Rename { instance_id: sofa, name: "red sofa".into() })
+        .await
+        .unwrap();
     let folder = tempfile::tempdir().unwrap();
     let folder = camino::Utf8Path::from_path(folder.path()).unwrap();
     let file = folder.join("room.scene.json");
@@ -142,7 +172,14 @@ async fn ground_truth_is_read_by_the_evaluation() {
     let (truth, omissions) = Annotations::read(&file);
     assert!(omissions.is_empty(), "{omissions:?}");
     let read = truth.objects.iter().find(|object| object.id == sofa.0).unwrap();
-    let told = server.client.all_instances(&scene.id, Levels::Things).await.unwrap().into_iter().find(|i| i.id == sofa).unwrap();
+    let told = server
+        .client
+        .all_instances(&scene.id, Levels::Things)
+        .await
+        .unwrap()
+        .into_iter()
+        .find(|i| i.id == sofa)
+        .unwrap();
     assert_eq!(read.name, "red sofa");
     assert!(read.aabb.iou(&told.aabb) > 0.999);
     server.stop().await;

@@ -38,5 +38,6 @@ mod stage_one;
 mod streaming;
 mod telemetry;
 mod upgrades;
+mod uploads;
 mod vlm;
 mod webhooks;

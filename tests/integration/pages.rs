@@ -43,12 +43,20 @@ async fn pages_of_named_origins_may_ask_and_others_may_not() {
     assert!(listed.headers()["access-control-expose-headers"].to_str().unwrap().contains("retry-after"));
     // A page of its own; what is no browser; a page that was named.
     let made = async |origin: Option<&str>, site: Option<&str>| {
-        let request = client.request(Method::POST, "v1/links").json(&LinkRequest { paths: vec!["/v1/scenes".into()], expires_in_s: 60 });
+        let request = client
+            .request(Method::POST, "v1/links")
+            .json(&LinkRequest { paths: vec!["/v1/scenes".into()], expires_in_s: 60 });
         let request = origin.into_iter().fold(request, |request, origin| request.header("origin", origin));
-        site.into_iter().fold(request, |request, site| request.header("sec-fetch-site", site)).send().await.unwrap()
+        site.into_iter()
+            .fold(request, |request, site| request.header("sec-fetch-site", site))
+            .send()
+            .await
+            .unwrap()
     };
     let own = format!("http://{}", client.request(Method::GET, "").build().unwrap().url().authority());
-    for (origin, site) in [(None, None), (Some(&*own), None), (Some(PAGE), Some("cross-site")), (Some("https://behind.example"), Some("same-origin"))] {
+    for (origin, site) in
+        [(None, None), (Some(&*own), None), (Some(PAGE), Some("cross-site")), (Some("https://behind.example"), Some("same-origin"))]
+    {
         assert_eq!(made(origin, site).await.status(), StatusCode::OK, "{origin:?} {site:?}");
     }
     for (origin, site) in [(Some("https://evil.example"), None), (Some("null"), None), (None, Some("cross-site"))] {
@@ -58,7 +66,10 @@ async fn pages_of_named_origins_may_ask_and_others_may_not() {
     }
     assert_eq!(process.terminate(), Some(0));
 
-    let refused = command(Utf8Path::from_path(data.path()).unwrap(), "127.0.0.1:0").args(["--cors-origin", "*"]).output().unwrap();
+    let refused = command(Utf8Path::from_path(data.path()).unwrap(), "127.0.0.1:0")
+        .args(["--cors-origin", "*"])
+        .output()
+        .unwrap();
     assert!(!refused.status.success() && String::from_utf8_lossy(&refused.stderr).contains("--cors-origin"), "{refused:?}");
 }
 
@@ -82,11 +93,18 @@ async fn a_page_with_a_key_shows_pictures_by_links() {
         assert_eq!(status(&format!("{below}/{path}{separator}link={}", links[1].token)).await, StatusCode::OK, "{path}");
     }
     // Events are as a browser's `EventSource` asks for them.
-    let events = process.client.request(Method::GET, links[2].url.as_ref().unwrap().trim_start_matches('/')).send().await.unwrap();
+    let events = process
+        .client
+        .request(Method::GET, links[2].url.as_ref().unwrap().trim_start_matches('/'))
+        .send()
+        .await
+        .unwrap();
     assert_eq!(events.headers()[header::CONTENT_TYPE], "text/event-stream");
     assert!(events.text().await.unwrap().contains("succeeded"));
     // Reading is all a link is for.
-    let wrong = process.client.request(Method::DELETE, &format!("{}?link={}", below.trim_start_matches('/'), links[1].token));
+    let wrong = process
+        .client
+        .request(Method::DELETE, &format!("{}?link={}", below.trim_start_matches('/'), links[1].token));
     assert_eq!(wrong.send().await.unwrap().status(), StatusCode::UNAUTHORIZED);
     assert_eq!(known.scene(&scene.id).await.unwrap().id, scene.id);
     assert_eq!(process.terminate(), Some(0));
@@ -98,11 +116,21 @@ async fn what_has_not_changed_is_not_sent_again() {
     let scene = server.parsed(Scan::neutral().zip()).await;
     let get = async |path: &str, headers: &[(&str, &str)]| {
         let request = server.client.request(Method::GET, &format!("v1/scenes/{}{path}", scene.id));
-        headers.iter().fold(request, |request, (name, value)| request.header(*name, *value)).send().await.unwrap()
+        headers
+            .iter()
+            .fold(request, |request, (name, value)| request.header(*name, *value))
+            .send()
+            .await
+            .unwrap()
     };
-    for path in ["", "/instances", "/frames", "/cloud.ply", "/points.bin", "/thumbnail.jpg", "/instances/1/views/0.jpg"] {
+    let drawn = "/frames/0/photograph.jpg?instances=true";
+    for path in ["", "/instances", "/frames", "/cloud.ply", "/points.bin", "/thumbnail.jpg", "/instances/1/views/0.jpg", drawn] {
         let first = get(path, &[]).await;
-        assert_eq!((first.status(), &first.headers()["cache-control"]), (StatusCode::OK, &"private, no-cache".parse().unwrap()), "{path}");
+        assert_eq!(
+            (first.status(), &first.headers()["cache-control"]),
+            (StatusCode::OK, &"private, no-cache".parse().unwrap()),
+            "{path}"
+        );
         let mark = first.headers()["etag"].to_str().unwrap().to_owned();
         let again = get(path, &[("if-none-match", &mark)]).await;
         assert_eq!((again.status(), again.headers()["etag"].to_str().unwrap()), (StatusCode::NOT_MODIFIED, &*mark), "{path}");
@@ -125,15 +153,28 @@ async fn what_has_not_changed_is_not_sent_again() {
     assert_eq!(whole.len(), 32 + 12 * points as usize);
     let beyond = get("/points.bin", &[("range", "bytes=999999999-")]).await;
     assert_eq!(beyond.status(), StatusCode::RANGE_NOT_SATISFIABLE);
-    let head = server.client.request(Method::HEAD, &format!("v1/scenes/{}/points.bin", scene.id)).send().await.unwrap();
-    assert_eq!((head.status(), head.headers()["content-length"].to_str().unwrap()), (StatusCode::OK, &*whole.len().to_string()));
+    let head = server
+        .client
+        .request(Method::HEAD, &format!("v1/scenes/{}/points.bin", scene.id))
+        .send()
+        .await
+        .unwrap();
+    assert_eq!(
+        (head.status(), head.headers()["content-length"].to_str().unwrap()),
+        (StatusCode::OK, &*whole.len().to_string())
+    );
 
     // Compressed for who takes it: not pictures, not parts.
     let taken = [("accept-encoding", "zstd, br;q=0.9, gzip;q=0.8")];
     for (path, is_compressed) in [("/instances", true), ("/cloud.ply", true), ("/thumbnail.jpg", false)] {
         assert_eq!(get(path, &taken).await.headers().contains_key("content-encoding"), is_compressed, "{path}");
     }
-    assert!(!get("/points.bin", &[taken[0], ("range", "bytes=0-9999")]).await.headers().contains_key("content-encoding"));
+    assert!(
+        !get("/points.bin", &[taken[0], ("range", "bytes=0-9999")])
+            .await
+            .headers()
+            .contains_key("content-encoding")
+    );
     assert!(get("/cloud.ply", &taken).await.headers()["etag"].to_str().unwrap().starts_with("W/"));
     server.stop().await;
 }
@@ -156,12 +197,20 @@ async fn there_is_something_to_look_at() {
     let frames: FrameList = serde_json::from_slice(&frames).unwrap();
     let index = frames.frames[0].index;
     let photograph = async |with: &str| {
-        let bytes = server.client.bytes(&format!("v1/scenes/{}/frames/{index}/photograph.jpg{with}", scene.id)).await.unwrap();
+        let bytes = server
+            .client
+            .bytes(&format!("v1/scenes/{}/frames/{index}/photograph.jpg{with}", scene.id))
+            .await
+            .unwrap();
         image::load_from_memory(&bytes).unwrap().into_rgb8()
     };
     let (plain, drawn) = (photograph("").await, photograph("?instances=true").await);
     assert_eq!((plain.width(), plain.height()), (frames.frames[0].width, frames.frames[0].height));
-    let changed = plain.pixels().zip(drawn.pixels()).filter(|(a, b)| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > 40)).count();
+    let changed = plain
+        .pixels()
+        .zip(drawn.pixels())
+        .filter(|(a, b)| a.0.iter().zip(b.0).any(|(a, b)| a.abs_diff(b) > 40))
+        .count();
     assert!(changed > plain.pixels().len() / 10, "instances are drawn over it ({changed} pixels)");
     let missing = problem(server.client.bytes(&format!("v1/scenes/{}/frames/9999/photograph.jpg", scene.id)).await);
     assert_eq!((missing.status, missing.code.as_str()), (404, "frame_not_found"));
@@ -181,7 +230,11 @@ async fn parses_from_before_can_be_looked_at() {
     let kept = (bytes("points.bin").await, bytes("thumbnail.jpg").await);
     let parse = server.data().join("blobs/parses").join(&server.stored("blobs/parses")[0]);
     let sums = std::fs::read_to_string(parse.join(".sha256sums")).unwrap();
-    let before: String = sums.lines().filter(|line| !line.ends_with("points.bin") && !line.ends_with("thumbnail.jpg")).map(|line| format!("{line}\n")).collect();
+    let before: String = sums
+        .lines()
+        .filter(|line| !line.ends_with("points.bin") && !line.ends_with("thumbnail.jpg"))
+        .map(|line| format!("{line}\n"))
+        .collect();
     std::fs::write(parse.join(".sha256sums"), before).unwrap();
     for file in ["points.bin", "thumbnail.jpg"] {
         std::fs::remove_file(parse.join(file)).unwrap();

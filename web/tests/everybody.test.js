@@ -37,6 +37,10 @@ test("a key is asked for once, kept for the tab, and opens pictures and events t
   });
   await page.getByRole("dialog").getByLabel("Key").fill(KEY);
   await page.keyboard.press("Enter");
+  const thumbnail = page.locator(".card img");
+  await thumbnail.waitFor();
+  assert.match(await thumbnail.getAttribute("src"), /^blob:/);
+  assert.deepEqual(await thumbnail.evaluate(({ naturalWidth, naturalHeight }) => [naturalWidth, naturalHeight]), [320, 240]);
   await page.getByRole("link", { name: "living room" }).click();
   await page.getByLabel("Question").fill("the red sofa");
   await page.keyboard.press("Enter");
@@ -125,8 +129,31 @@ for (const colorScheme of ["light", "dark"]) {
     await check("why");
     await page.getByRole("tab", { name: "Things" }).click();
     await check("things");
+    await page.locator(".panel .line").nth(3).click({ modifiers: ["Control"] });
+    await page.locator(".panel .line").nth(4).click({ modifiers: ["Control"] });
+    await check("a selection");
+    await page.getByRole("button", { name: "Cancel" }).click();
     await page.locator(".panel .line").first().click();
     await check("a thing");
+    await page.getByRole("button", { name: "Rename" }).click();
+    await page.getByLabel("New name").fill("the ground");
+    await page.keyboard.press("Enter");
+    await page.getByRole("heading", { name: /^the ground/ }).waitFor();
+    await page.locator("details.corrections summary").click();
+    await page.getByRole("button", { name: /^Undo/ }).first().waitFor();
+    await keep(page, `corrections-${colorScheme}`);
+    await check("corrections");
+    await page.getByRole("button", { name: /^Undo/ }).first().click();
+    await page.getByText(/taken back/).first().waitFor();
+    await check("a correction that was taken back");
+    await page.getByRole("tab", { name: "Photos" }).click();
+    await page.getByLabel("Show where they were taken").check();
+    await page.getByRole("button", { name: /^Frame 3/ }).first().click();
+    await page.locator(".photograph img").waitFor();
+    await keep(page, `photograph-${colorScheme}`);
+    await check("a photograph");
+    await page.keyboard.press("Escape");
+    await check("photographs");
     await page.getByRole("tab", { name: "Report" }).click();
     await page.getByRole("heading", { name: "Stages" }).waitFor();
     await check("report");
@@ -155,11 +182,26 @@ test("a screen of 360 pixels has everything and never scrolls sideways", async (
   await page.getByRole("article", { name: "Answer" }).waitFor();
   await fits("an answer");
   await keep(page, "narrow");
-  for (const tab of ["Why", "Things", "Report"]) {
+  for (const tab of ["Why", "Things", "Photos", "Report"]) {
     await page.getByRole("tab", { name: tab }).tap();
     await page.waitForTimeout(300);
     await fits(tab);
   }
+  await page.getByRole("tab", { name: "Things" }).tap();
+  for (const number of [4, 5]) {
+    await page.locator(".panel .line").nth(number).tap();
+    await page.getByRole("button", { name: "Add to selection" }).tap();
+    await page.getByRole("button", { name: "← Back to the list" }).tap();
+  }
+  await page.locator("details.corrections summary").tap();
+  await fits("a selection and corrections");
+  await keep(page, "narrow-selection");
+  await page.getByRole("tab", { name: "Photos" }).tap();
+  await page.getByRole("button", { name: /^Frame 3/ }).first().tap();
+  await page.locator(".photograph img").waitFor();
+  await fits("a photograph");
+  await keep(page, "narrow-photograph");
+  await page.getByRole("button", { name: "Close" }).tap();
   await page.getByRole("link", { name: "Batches" }).tap();
   await page.getByLabel("Questions").waitFor();
   await fits("batches");

@@ -46,6 +46,26 @@ test("from the first visit to an answered question in fewer than five actions", 
   await close();
 });
 
+test("the sample scene is one click away, and its picture is in the list when it is parsed", async (test) => {
+  const other = await startService({ empty: true });
+  test.after(() => other.stop());
+  const { page, complaints, close } = await openPage(browser, other.page);
+  await page.getByRole("button", { name: "Open the sample scene" }).click();
+  const card = page.locator(".card");
+  await card.waitFor();
+  // An empty frame stands where the picture will be.
+  const size = () => card.locator(".thumb .picture").evaluate(({ clientWidth, clientHeight }) => [clientWidth, clientHeight]);
+  const empty = await size();
+  await page.getByRole("link", { name: "Open the room" }).waitFor({ timeout: 60_000 });
+  await card.locator("img").waitFor();
+  assert.deepEqual(await size(), empty);
+  await keep(page, "sample");
+  await page.getByRole("link", { name: "Open the room" }).click();
+  await drawn(page);
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
 test("what can not be read is told with what to do, and the next try is one press away", async () => {
   const { page, complaints, close } = await openPage(browser, service.page);
   const folder = mkdtempSync(join(tmpdir(), "uniground-bad-"));

@@ -97,7 +97,12 @@ impl Service {
         }
         self.store.undo_correction(id).await?;
         self.parses.loaded.remove(&parse_id);
-        self.store.corrections(&parse_id).await?.into_iter().find(|correction| correction.id == id).ok_or_else(not_found)
+        self.store
+            .corrections(&parse_id)
+            .await?
+            .into_iter()
+            .find(|correction| correction.id == id)
+            .ok_or_else(not_found)
     }
 }
 

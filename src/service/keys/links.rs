@@ -150,7 +150,10 @@ mod tests {
         let cloud = format!("{SCENE}/cloud.ply");
         let links = keys.links(wanted(&[cloud.clone(), format!("{SCENE}/*")]), &maker, now).unwrap().links;
         assert_eq!((links[0].url.clone(), &links[1].url), (Some(format!("{cloud}?link={}", links[0].token)), &None));
-        let opens = |token: &str, path: &str, at| keys.caller_of_link(token, path, at).map(|caller| (caller.scope, caller.key_id().map(str::to_owned)));
+        let opens = |token: &str, path: &str, at| {
+            keys.caller_of_link(token, path, at)
+                .map(|caller| (caller.scope, caller.key_id().map(str::to_owned)))
+        };
         let reader = Ok((Scope::Read, Some(made.key.id.clone())));
         assert_eq!(opens(&links[0].token, &cloud, later(59)), reader, "no more than reading, whoever made it");
         assert_eq!(opens(&links[0].token, &cloud, later(60)), Err(Denied::LinkOver));

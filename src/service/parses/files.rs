@@ -127,7 +127,10 @@ pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &
         embeddings.write_norms(File::create(parse.join(NORMS))?)?;
     }
     writing.report("draw_report", 0.5).map_err(ParseError::from)?;
-    fs::write(ParseFile::Thumbnail.of(parse), report_pictures::thumbnail(&RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances), &parsed.extent))?;
+    fs::write(
+        ParseFile::Thumbnail.of(parse),
+        report_pictures::thumbnail(&RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances), &parsed.extent),
+    )?;
     super::report_files::write(parse, report_pictures::render(parsed, &scan.frames, writing)?)?;
     writing.check().map_err(ParseError::from)?;
     fs::create_dir(parse.join(VIEWS))?;

@@ -26,8 +26,15 @@ export function returnPicture(path: string): void {
   const picture = held.get(path);
   if (!picture) return;
   picture.users -= 1;
+  keepAtMost(KEPT);
+}
+
+/** What is drawn in pictures has changed: those that nobody shows are fetched anew. */
+export const forgetPictures = () => keepAtMost(0);
+
+function keepAtMost(most: number): void {
   for (const [old, { users, address }] of held) {
-    if (held.size <= KEPT) break;
+    if (held.size <= most) break;
     if (users > 0) continue;
     held.delete(old);
     void address.then((url) => URL.revokeObjectURL(url)).catch(() => undefined);

@@ -365,6 +365,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/links": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Makes links that work without a key for a while: for pictures, clouds and event streams in a page, where no header can be sent.
+         * @description A link reads what its path names, no more, and stops with the key it was made with. It is the path with the query parameter `link`.
+         */
+        post: operations["create_links"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/models": {
         parameters: {
             query?: never;
@@ -389,7 +409,7 @@ export interface paths {
             path?: never;
             cookie?: never;
         };
-        /** Lists scenes, newest first. */
+        /** Lists scenes, newest first, without their settings and reports. */
         get: operations["list_scenes"];
         put?: never;
         /**
@@ -423,6 +443,26 @@ export interface paths {
         patch: operations["rename_scene"];
         trace?: never;
     };
+    "/v1/scenes/{scene_id}/annotations": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The things of the current parse as people have corrected them: the annotations that `uniground eval` reads beside a scan, as
+         *     `<scene>.scene.json`.
+         */
+        get: operations["get_annotations"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/scenes/{scene_id}/cloud.ply": {
         parameters: {
             query?: never;
@@ -435,6 +475,45 @@ export interface paths {
         put?: never;
         post?: never;
         delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/scenes/{scene_id}/corrections": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** Lists the corrections of the current parse, newest first, with who made them and which were taken back. */
+        get: operations["list_corrections"];
+        put?: never;
+        /**
+         * Corrects what the current parse has found: a name, junk, things that are one, a thing that is several.
+         * @description Answers from now on know it. A correction belongs to the parse: scenes of the same bytes and settings share it, a new parse starts
+         *     without.
+         */
+        post: operations["correct_scene"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/scenes/{scene_id}/corrections/{correction_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        post?: never;
+        /** Takes a correction back. It stays in the list; what it had changed is as it was before. */
+        delete: operations["undo_correction"];
         options?: never;
         head?: never;
         patch?: never;
@@ -469,6 +548,23 @@ export interface paths {
         };
         /** The photographs of a scan: where each was taken from, and with what camera. */
         get: operations["list_frames"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/scenes/{scene_id}/frames/{frame}/photograph.jpg": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** A photograph of the scan, by its index in the list of frames: as it was taken, or with the instances of the current parse over it. */
+        get: operations["get_photograph"];
         put?: never;
         post?: never;
         delete?: never;
@@ -602,6 +698,28 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/scenes/{scene_id}/points.bin": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The cloud of the current parse for whoever looks at it over a network: twelve bytes a point, and every beginning is an even sample of
+         *     the whole, so that a part (`Range: bytes=0-2400031` for 200,000 points) is a picture already.
+         * @description Little endian: `UGP1`, number of points (u32), bytes per point (u32, 12), 0 (u32), origin (three f32, metres), step (f32, metres); then
+         *     for each point its position (three u16: origin + step x number), red, green, blue (u8), and the id of its thing (three bytes, 0 for none).
+         */
+        get: operations["get_points"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/scenes/{scene_id}/report": {
         parameters: {
             query?: never;
@@ -656,6 +774,40 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/scenes/{scene_id}/thumbnail.jpg": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The room of the current parse from above, 320 x 240 pixels. */
+        get: operations["get_thumbnail"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/scenes/sample": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /** Makes a scene of the living room this program carries, and parses it: something to ask about at once. */
+        post: operations["create_sample_scene"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/stats": {
         parameters: {
             query?: never;
@@ -700,6 +852,11 @@ export interface components {
             confidence: number;
             /** @description Numbered from 1 within the parse the answer comes from. */
             id: components["schemas"]["InstanceId"];
+            /** @description What it is called, without regard to the question; empty in answers given before this was told. */
+            name?: string;
+            oriented_box?: components["schemas"]["OrientedBox"] | null;
+            /** @description Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service. */
+            view?: string | null;
         };
         /** @description The answer to a question. `box` is set when the status is `grounded`, or `uncertain`. */
         Answer: {
@@ -969,6 +1126,9 @@ export interface components {
             box: components["schemas"]["Aabb"];
             /** @description Numbered from 1 within the parse; instances with more points come first. */
             id: components["schemas"]["InstanceId"];
+            /** @description What it is called, without regard to the question; empty in answers given before this was told. */
+            name?: string;
+            oriented_box?: components["schemas"]["OrientedBox"] | null;
             /**
              * Format: int32
              * @description From 1.
@@ -979,12 +1139,40 @@ export interface components {
              * @description Fit to the question, `0..=1`.
              */
             score: number;
+            /** @description Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service. */
+            view?: string | null;
         };
         /**
          * @description Who chooses the candidates: what a vision-language model is shown and may choose from.
          * @enum {string}
          */
         CandidateSource: "fused" | "encoder" | "reasoner";
+        /** @description What is to be different. */
+        Change: {
+            /** @description Which instance. */
+            instance_id: components["schemas"]["InstanceId"];
+            /** @enum {string} */
+            kind: "rename";
+            /** @description One line of 1 to 100 characters: what people would call it, "red mug". */
+            name: string;
+        } | {
+            /** @description Which instances, at most 100. */
+            instance_ids: components["schemas"]["InstanceId"][];
+            /** @enum {string} */
+            kind: "dismiss";
+        } | {
+            /** @description Two things or more, at most 100. */
+            instance_ids: components["schemas"]["InstanceId"][];
+            /** @enum {string} */
+            kind: "merge";
+            /** @description What people would call it; left out, its measures tell. */
+            name?: string | null;
+        } | {
+            /** @description Which thing. */
+            instance_id: components["schemas"]["InstanceId"];
+            /** @enum {string} */
+            kind: "split";
+        };
         /** @description The frame all coordinates are in. */
         CoordinateFrame: {
             /**
@@ -997,6 +1185,25 @@ export interface components {
              * @example z
              */
             up: string;
+        };
+        /** @description A change somebody has made. */
+        Correction: {
+            /** @description Name of the key it was made with; `null` for the server's own, and where no key is wanted. */
+            author?: string | null;
+            /** @description What is different. */
+            change: components["schemas"]["Change"];
+            /** @description When it was made, RFC 3339 UTC. */
+            created_at: string;
+            /** @description UUIDv7; in order of time, in which they take effect. */
+            id: string;
+            made?: components["schemas"]["InstanceId"] | null;
+            /** @description When it was taken back, RFC 3339 UTC; `null` while it holds. */
+            undone_at?: string | null;
+        };
+        /** @description All corrections of a scene's current parse. */
+        CorrectionList: {
+            /** @description Newest first, those that were taken back included. */
+            corrections: components["schemas"]["Correction"][];
         };
         /** @description How a segmentation model corrects the outlines of instances in pictures. */
         CorrectionSettings: {
@@ -1226,6 +1433,13 @@ export interface components {
              */
             top_k?: number;
         };
+        /** @description The things of a scene, as `uniground eval` reads annotations. */
+        GroundTruth: {
+            /** @description In order of id. */
+            objects: components["schemas"]["TrueObject"][];
+            /** @description UUIDv7 of the scene. */
+            scene_id: string;
+        };
         /** @description Whether the process is alive. */
         Health: {
             /** @description Always `ok`: a process that answers is alive. */
@@ -1380,11 +1594,15 @@ export interface components {
             colours: {
                 [key: string]: number;
             };
+            /** @description Somebody has said that it is no thing, or not one: no answer, and listed only with `level=all`. */
+            dismissed?: boolean;
             /**
              * @description The question it was found for: a vision-language model saw it in a photograph, and it was no instance yet. `null` for what the
              *     parse has found.
              */
             found_for?: string | null;
+            /** @description What somebody has said it is called; `null` where nobody has. */
+            given_name?: string | null;
             /**
              * Format: float
              * @description Metres from the floor to the bottom of `box`; negative where it reaches below.
@@ -1398,6 +1616,8 @@ export interface components {
             level?: components["schemas"]["Level"];
             /** @description Mean 8-bit sRGB. */
             mean_rgb: number[];
+            /** @description The instances that somebody has said are one thing, this one; empty for what the parse has found. */
+            merged_from?: components["schemas"]["InstanceId"][];
             /** @description What the configured vision-language model calls it, without having heard a question; `null` until it was asked. */
             model_name?: string | null;
             /** @description Best first, at most five; empty for parts of the building, and where nothing fits. */
@@ -1602,6 +1822,38 @@ export interface components {
          * @enum {string}
          */
         LevellingChoice: "auto" | "off";
+        /** @description A link, and until when it works. */
+        Link: {
+            /** @description RFC 3339 UTC. */
+            expires_at: string;
+            /** @description As it was asked for. */
+            path: string;
+            /** @description What makes it work: the query parameter `link` of any path it stands for. */
+            token: string;
+            /** @description The path with its token; `null` where the path stands for several. */
+            url?: string | null;
+        };
+        /** @description Links in the order of their paths. */
+        LinkList: {
+            /** @description One for each path. */
+            links: components["schemas"]["Link"][];
+        };
+        /** @description What is to be read without a key. */
+        LinkRequest: {
+            /**
+             * Format: int32
+             * @description How long they work, seconds.
+             * @default 600
+             */
+            expires_in_s?: number;
+            /**
+             * @description Paths of this server below `/v1/`, 1 to 500. One that ends in `/*` stands for everything below it, like `/v1/scenes/{scene_id}/*`.
+             * @example [
+             *       "/v1/scenes/01a1ff70-0000-7000-8000-000000000001/*"
+             *     ]
+             */
+            paths: string[];
+        };
         /** @description A model in use, as told to callers. */
         LoadedModel: {
             /** @description Pictures, or prompts, per call. */
@@ -2873,6 +3125,34 @@ export interface components {
             /** @description What was wrong and what was done about it, a sentence each, in order. */
             corrections: string[];
         };
+        /** @description A thing. Metres, world frame of the scene (Z up). */
+        TrueObject: {
+            /** @description Whether somebody has said what it is called, or that it is one thing. */
+            corrected: boolean;
+            /**
+             * Format: int32
+             * @description Id of the instance.
+             */
+            id: number;
+            /** @description Highest corner. */
+            max: number[];
+            /** @description Lowest corner. */
+            min: number[];
+            /** @description What it is called. */
+            name: string;
+            /** @description Turned about the vertical to fit it. */
+            obb: components["schemas"]["TurnedBox"];
+        };
+        /** @description A box turned about the vertical. */
+        TurnedBox: {
+            center: number[];
+            size: number[];
+            /**
+             * Format: float
+             * @description Counter-clockwise from above, degrees.
+             */
+            yaw_deg: number;
+        };
         /**
          * @description The world axis that points up in the file; after import it is always `z`.
          * @enum {string}
@@ -4143,6 +4423,77 @@ export interface operations {
             };
         };
     };
+    create_links: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["LinkRequest"];
+            };
+        };
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["LinkList"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     list_models: {
         parameters: {
             query?: never;
@@ -4506,6 +4857,59 @@ export interface operations {
             };
         };
     };
+    get_annotations: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["GroundTruth"];
+                };
+            };
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     get_cloud: {
         parameters: {
             query?: never;
@@ -4526,6 +4930,218 @@ export interface operations {
                 };
             };
             401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    list_corrections: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["CorrectionList"];
+                };
+            };
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    correct_scene: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["Change"];
+            };
+        };
+        responses: {
+            201: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Correction"];
+                };
+            };
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    undo_correction: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                correction_id: string;
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Correction"];
+                };
+            };
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            403: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -4648,6 +5264,72 @@ export interface operations {
                 };
             };
             409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    get_photograph: {
+        parameters: {
+            query?: {
+                /** @description With the instances it shows laid over it in their colours. */
+                instances?: boolean;
+            };
+            header?: never;
+            path: {
+                frame: number;
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/jpeg": components["schemas"]["Binary"];
+                    "image/png": components["schemas"]["Binary"];
+                };
+            };
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            422: {
                 headers: {
                     [name: string]: unknown;
                 };
@@ -5178,6 +5860,68 @@ export interface operations {
             };
         };
     };
+    get_points: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/octet-stream": components["schemas"]["Binary"];
+                };
+            };
+            /** @description The part that `Range` names */
+            206: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/octet-stream": components["schemas"]["Binary"];
+                };
+            };
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     get_report: {
         parameters: {
             query?: never;
@@ -5358,6 +6102,102 @@ export interface operations {
                 };
             };
             422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    get_thumbnail: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/jpeg": components["schemas"]["Binary"];
+                };
+            };
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            429: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    create_sample_scene: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Created"];
+                };
+            };
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            403: {
                 headers: {
                     [name: string]: unknown;
                 };

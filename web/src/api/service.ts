@@ -2,8 +2,8 @@
 
 import { json, request, send } from "./client";
 import type {
-  Answer, AnswerList, AnswerPrompt, AnswerReply, Batch, BatchList, BatchRequest, GroundRequest, InstanceList, InstanceView, Job, ModelList,
-  Scene, SceneList, SceneReport,
+  Answer, AnswerList, AnswerPrompt, AnswerReply, Batch, BatchList, BatchRequest, Change, Correction, CorrectionList, Created, FrameList,
+  GroundRequest, InstanceList, InstanceView, Job, ModelList, Scene, SceneList, SceneReport,
 } from "./types";
 
 const id = encodeURIComponent;
@@ -11,6 +11,8 @@ const id = encodeURIComponent;
 export const listScenes = (cursor?: string | null, signal?: AbortSignal) =>
   json<SceneList>(`/v1/scenes?limit=50${cursor ? `&cursor=${id(cursor)}` : ""}`, { signal });
 export const getScene = (scene: string, signal?: AbortSignal) => json<Scene>(`/v1/scenes/${id(scene)}`, { signal });
+/** The room that the program brings along. */
+export const sendSample = () => send<Created>("POST", "/v1/scenes/sample");
 export const renameScene = (scene: string, name: string) => send<Scene>("PATCH", `/v1/scenes/${id(scene)}`, { name });
 export const deleteScene = (scene: string) => request(`/v1/scenes/${id(scene)}`, { method: "DELETE" });
 export const parseAgain = (scene: string) => send<Job>("POST", `/v1/scenes/${id(scene)}/parse`, {});
@@ -45,10 +47,20 @@ export async function allInstances(scene: string, signal?: AbortSignal): Promise
   return all;
 }
 
+export const listFrames = (scene: string) => json<FrameList>(`/v1/scenes/${id(scene)}/frames`);
+
+export const listCorrections = (scene: string) => json<CorrectionList>(`/v1/scenes/${id(scene)}/corrections`);
+export const makeCorrection = (scene: string, change: Change) => send<Correction>("POST", `/v1/scenes/${id(scene)}/corrections`, change);
+export const undoCorrection = (scene: string, correction: string) =>
+  send<Correction>("DELETE", `/v1/scenes/${id(scene)}/corrections/${id(correction)}`);
+
+export const annotationsPath = (scene: string) => `/v1/scenes/${id(scene)}/annotations`;
+export const pointsPath = (scene: string) => `/v1/scenes/${id(scene)}/points.bin`;
 export const cloudPath = (scene: string) => `/v1/scenes/${id(scene)}/cloud.ply`;
 export const instancesCloudPath = (scene: string) => `/v1/scenes/${id(scene)}/instances.ply`;
 export const viewPath = (scene: string, instance: number, view: number, picture: "frame" | "crop") =>
   `/v1/scenes/${id(scene)}/instances/${instance}/views/${view}.jpg?picture=${picture}`;
-export const thumbnailPath = (scene: string) => `/v1/scenes/${id(scene)}/report/instances.jpg`;
+export const photographPath = (scene: string, frame: number) => `/v1/scenes/${id(scene)}/frames/${frame}/photograph.jpg?instances=true`;
+export const thumbnailPath = (scene: string) => `/v1/scenes/${id(scene)}/thumbnail.jpg`;
 export const resultsPath = (batch: string, format: "jsonl" | "csv", follow = false) =>
   `/v1/batches/${id(batch)}/results?format=${format}${follow ? "&follow=true" : ""}`;

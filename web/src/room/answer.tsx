@@ -28,13 +28,13 @@ export function AnswerCard({ room, answer }: { room: Room; answer: Answer }) {
       {targets.length > 1 && (
         <>
           <h4>{t.answer.several(targets.length)}</h4>
-          <Instances room={room} entries={targets.map(({ id, name, confidence }) => ({ id, name, share: confidence }))} />
+          <Instances room={room} entries={targets.map(({ confidence, ...target }) => ({ ...target, share: confidence }))} />
         </>
       )}
       {answer.alternatives.length > 0 && (
         <>
           <h4>{t.answer.alternatives}</h4>
-          <Instances room={room} entries={answer.alternatives.map(({ id, confidence }) => ({ id, name: room.name(id), share: confidence }))} />
+          <Instances room={room} entries={answer.alternatives.map(({ confidence, ...one }) => ({ ...one, share: confidence }))} />
         </>
       )}
       <Reading answer={answer} />
@@ -44,7 +44,7 @@ export function AnswerCard({ room, answer }: { room: Room; answer: Answer }) {
           <summary>
             {t.answer.candidates} ({answer.candidates.length})
           </summary>
-          <Instances room={room} entries={answer.candidates.map(({ id, score }) => ({ id, name: room.name(id), share: score }))} />
+          <Instances room={room} entries={answer.candidates.map(({ score, ...one }) => ({ ...one, share: score }))} />
         </details>
       )}
       <div class="buttons copies">
@@ -113,10 +113,12 @@ function Seen({ answer }: { answer: Answer }) {
   );
 }
 
-function Instances({ room, entries }: { room: Room; entries: { id: number; name: string; share: number }[] }) {
+interface Entry { id: number; name?: string; share: number; view?: string | null }
+
+function Instances({ room, entries }: { room: Room; entries: Entry[] }) {
   return (
     <ul class="lines">
-      {entries.map(({ id, name, share }) => (
+      {entries.map(({ id, name, share, view }) => (
         <li key={id}>
           <button
             type="button"
@@ -128,7 +130,8 @@ function Instances({ room, entries }: { room: Room; entries: { id: number; name:
             onMouseLeave={() => (room.hovered.value = null)}
           >
             <span class="number">{id}</span>
-            <span>{name}</span>
+            <span>{name || room.name(id)}</span>
+            {view && <Picture path={view} alt="" class="stamp" />}
             <Meter share={share} label={share.toFixed(2)} />
             <span class="figures">{share.toFixed(2)}</span>
           </button>

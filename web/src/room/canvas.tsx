@@ -2,14 +2,14 @@
 
 import { effect } from "@preact/signals";
 import { useEffect, useRef, useState } from "preact/hooks";
-import { asProblem, request, wasAborted } from "../api/client";
-import { cloudPath, instancesCloudPath } from "../api/service";
+import { asProblem, wasAborted } from "../api/client";
+import { pointsFile } from "../api/points";
 import type { Problem } from "../api/types";
 import { amend, route } from "../route";
 import { isDark } from "../theme";
 import { t } from "../text";
 import { ProblemNote } from "../ui/problem";
-import { readCloud, readInstances } from "../view3d/cloud";
+import { readCloud } from "../view3d/cloud";
 import { offerHook } from "../view3d/hook";
 import { EYE_HEIGHT_M, Viewer } from "../view3d/viewer";
 import { readPose, writePose } from "./camera-link";
@@ -17,8 +17,8 @@ import { Labels } from "./labels";
 import { usePointing } from "./pointing";
 import { around, type Room } from "./state";
 
-/** What has arrived of a cloud is drawn after this share, and then whenever there is so much more: each time costs all of it. */
-const FIRST_SHARE = 0.02;
+/** So many points are worth a picture, and then so many times as many. */
+const FIRST_POINTS = 50_000;
 const MORE = 1.7;
 
 export function RoomCanvas({ room, onReady }: { room: Room; onReady: (showWhole: () => void) => void }) {
@@ -41,9 +41,8 @@ export function RoomCanvas({ room, onReady }: { room: Room; onReady: (showWhole:
       made.controls.flyTo(made.controls.home);
     });
     const stop = new AbortController();
-    const loaded = { points: 0, instances: false };
-    offerHook(made, canvas.current!, () => loaded);
-    void loadCloud(room, made, stop.signal, (share) => setArrived(share), loaded).catch((thrown) => {
+    offerHook(made, canvas.current!);
+    void loadCloud(room, made, stop.signal, setArrived).catch((thrown) => {
       if (!stop.signal.aborted && !wasAborted(thrown)) setProblem(asProblem(thrown));
     });
     const effects = keepInStep(room, made);
@@ -66,6 +65,7 @@ export function RoomCanvas({ room, onReady }: { room: Room; onReady: (showWhole:
         aria-label={t.room.canvas(room.scene.value?.name ?? "")}
         aria-describedby="canvas-help"
         data-tool={room.tool.value}
+        data-over={room.photographs.hovered.value !== null}
       />
       <p id="canvas-help" class="offscreen">
         {t.room.canvasHelp}
@@ -73,7 +73,7 @@ export function RoomCanvas({ room, onReady }: { room: Room; onReady: (showWhole:
       {viewer && <Labels viewer={viewer} room={room} />}
       {broken && <p class="over">{t.room.noWebgl}</p>}
       {!broken && arrived !== null && !problem && (
-        <p class="over" role="status">
+        <p class={arrived ? "over aside" : "over"} role="status">
           {t.room.loadingCloud(arrived)}
         </p>
       )}
@@ -86,52 +86,27 @@ export function RoomCanvas({ room, onReady }: { room: Room; onReady: (showWhole:
   );
 }
 
-/** Points first, for the eye; whose they are afterwards. */
-async function loadCloud(
-  room: Room,
-  viewer: Viewer,
-  signal: AbortSignal,
-  onShare: (share: number | null) => void,
-  loaded: { points: number; instances: boolean },
-): Promise<void> {
-  const scene = room.scene.peek()!;
-  const response = await request(cloudPath(room.id), { signal });
-  const total = Number(response.headers.get("content-length"));
-  let bytes = 0;
-  const counted = response.body!.pipeThrough(
-    new TransformStream<Uint8Array, Uint8Array>({
-      transform(chunk, controller) {
-        bytes += chunk.length;
-        controller.enqueue(chunk);
-      },
-    }),
-  );
-  let due = FIRST_SHARE;
-  viewer.loading = true;
-  const cloud = await readCloud(
-    counted,
+/** Drawn whenever there is so much more of it, so that a slow connection is seen to bring something, and a fast one costs no time. */
+async function loadCloud(room: Room, viewer: Viewer, signal: AbortSignal, onShare: (share: number | null) => void): Promise<void> {
+  let due = FIRST_POINTS;
+  await readCloud(
+    pointsFile(room.id, signal),
     (empty) => {
-      viewer.load(empty, scene.extent!, room.instances.peek());
+      viewer.load(empty, room.scene.peek()!.extent!, room.instances.peek());
+      know(room, viewer);
       viewer.colour(room.colouring.peek());
-      viewer.light(room.lit.peek(), room.tinted.peek());
       startView(room, viewer);
     },
-    () => {
-      const share = total ? bytes / total : 0;
-      if (share < due) return;
-      due = share * MORE;
-      onShare(share);
-      viewer.arrived("points");
+    ({ arrived, count }) => {
+      if (arrived < due && arrived < count) return;
+      due = arrived * MORE;
+      onShare(arrived < count ? arrived / count : null);
+      viewer.arrived();
     },
   );
-  viewer.loading = false;
-  viewer.arrived("points");
-  loaded.points = cloud.count;
-  onShare(null);
-  const instances = await request(instancesCloudPath(room.id), { signal });
-  loaded.instances = await readInstances(instances.body!, cloud);
-  viewer.arrived("instances");
 }
+
+const know = (room: Room, viewer: Viewer) => viewer.know(room.instances.value, (cut) => room.standing(cut));
 
 function startView(room: Room, viewer: Viewer): void {
   const linked = readPose(route.peek().parameters.get("cam"));
@@ -171,8 +146,11 @@ function keepInStep(room: Room, viewer: Viewer): (() => void)[] {
     }),
     effect(() => viewer.colour(room.colouring.value)),
     effect(() => viewer.showBoxes(room.boxes.value)),
+    effect(() => know(room, viewer)),
     effect(() => viewer.light(room.lit.value, room.tinted.value)),
     effect(() => viewer.cut(room.cutWalls.value, room.cutHeight.value)),
+    effect(() => viewer.showFrames(room.photographs.shown.value ? room.photographs.chosen.value : [])),
+    effect(() => viewer.highlightFrame(room.photographs.frame(room.photographs.hovered.value))),
     effect(() => viewer.measure(room.ends.value)),
     effect(() => {
       const observer = room.observer.value;

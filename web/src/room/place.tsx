@@ -8,6 +8,7 @@ import { ofJob, ProblemNote } from "../ui/problem";
 import { panelId, tabId, Tabs } from "../ui/tabs";
 import { AskPanel } from "./ask";
 import { RoomCanvas } from "./canvas";
+import { Photograph, PhotosPanel } from "./photos";
 import { ReportPanel } from "./report";
 import { Room, TABS } from "./state";
 import { ThingsPanel } from "./things";
@@ -37,11 +38,12 @@ export function RoomPlace({ scene: id }: { scene: string }) {
     else room.answer.value = null;
   }, [linked]);
 
-  // A thing that was clicked in the picture is told about where things are listed.
+  // A thing that was clicked in the picture is told about where things are listed, and so are several.
   const selected = room.selected.value;
+  const several = room.group.value.length > 0;
   useEffect(() => {
-    if (selected !== null && room.tab.peek() === "report") amend({ tab: "things" });
-  }, [selected]);
+    if (several || (selected !== null && ["report", "photos"].includes(room.tab.peek()))) amend({ tab: "things" });
+  }, [selected, several]);
 
   if (room.problem.value) return <ProblemNote problem={room.problem.value} onAgain={() => location.reload()} />;
   if (!scene) return <p class="wait">{t.loading}</p>;
@@ -63,9 +65,11 @@ export function RoomPlace({ scene: id }: { scene: string }) {
           {tab === "ask" && <AskPanel room={room} />}
           {tab === "why" && <WhyPanel room={room} />}
           {tab === "things" && <ThingsPanel room={room} />}
+          {tab === "photos" && <PhotosPanel room={room} />}
           {tab === "report" && <ReportPanel room={room} />}
         </div>
       </section>
+      <Photograph room={room} />
     </div>
   );
 }

@@ -16,22 +16,25 @@ export function usePointing(viewer: Viewer | null, canvas: RefObject<HTMLCanvasE
     let resting = 0;
     const leave = () => {
       clearTimeout(resting);
-      room.hovered.value = null;
+      room.hovered.value = room.photographs.hovered.value = null;
     };
     const hover = (event: PointerEvent) => {
       clearTimeout(resting);
       if (event.buttons || event.pointerType === "touch") return leave();
       resting = window.setTimeout(() => {
-        const picked = viewer.pick(event.clientX, event.clientY);
-        room.hovered.value = picked && picked.instance > 0 ? picked.instance : null;
+        const frame = viewer.pickFrame(event.clientX, event.clientY);
+        room.photographs.hovered.value = frame;
+        const picked = frame === null ? viewer.pick(event.clientX, event.clientY) : null;
+        room.hovered.value = picked && room.standing(picked.instance, picked.point);
       }, REST_MS);
     };
     const escape = (event: KeyboardEvent) => {
       if (event.key !== "Escape") return;
       if (room.tool.value !== "look") room.tool.value = "look";
+      else if (room.group.value.length) room.group.value = [];
       else room.select(null);
     };
-    viewer.controls.onClick = (x, y) => click(viewer, room, x, y);
+    viewer.controls.onClick = (event) => click(viewer, room, event);
     element.addEventListener("pointermove", hover);
     element.addEventListener("pointerleave", leave);
     element.addEventListener("keydown", escape);
@@ -44,17 +47,30 @@ export function usePointing(viewer: Viewer | null, canvas: RefObject<HTMLCanvasE
   }, [viewer]);
 }
 
-function click(viewer: Viewer, room: Room, x: number, y: number): void {
-  const picked = viewer.pick(x, y);
+/** Whether a click means one more, as in lists of files. */
+export const addsToChoice = (event: MouseEvent) => event.ctrlKey || event.metaKey || event.shiftKey;
+
+function click(viewer: Viewer, room: Room, event: PointerEvent): void {
+  const frame = viewer.pickFrame(event.clientX, event.clientY);
+  const picked = viewer.pick(event.clientX, event.clientY);
   if (room.tool.value === "measure") {
     if (picked) room.ends.value = room.ends.value.length === 1 ? [room.ends.value[0]!, picked.point] : [picked.point];
   } else if (room.tool.value === "observer") {
     if (picked) place(room, picked.point);
-  } else if (picked && picked.instance > 0) {
-    // Who clicks a thing sees it already: the view stays.
-    room.select(picked.instance, false);
+  } else if (frame !== null) {
+    room.photographs.open.value = frame;
   } else {
-    room.select(null);
+    choose(room, picked && room.standing(picked.instance, picked.point), event);
+  }
+}
+
+function choose(room: Room, id: number | null, event: PointerEvent): void {
+  if (!addsToChoice(event)) {
+    room.group.value = [];
+    // Who clicks a thing sees it already: the view stays.
+    room.select(id, false);
+  } else if (id !== null) {
+    room.gather(id);
   }
 }
 

@@ -3,17 +3,20 @@
 import { computed, signal } from "@preact/signals";
 import { asProblem } from "../api/client";
 import { allInstances, getAnswer, getModels, getScene, ground } from "../api/service";
-import type { Answer, GroundRequest, InstanceView, ModelList, Observer, OrientedBox, Problem, Scene } from "../api/types";
+import type { Aabb, Answer, Change, GroundRequest, InstanceView, ModelList, Observer, OrientedBox, Problem, Scene } from "../api/types";
 import { amend, route } from "../route";
 import type { DrawnBox } from "../view3d/boxes";
 import type { Point } from "../view3d/marks";
 import type { Colouring } from "../view3d/points";
+import { Corrections } from "./corrections";
+import { nameOf } from "./names";
+import { Photographs } from "./photographs";
 
 export type BoxKind = "turned" | "aligned" | "none";
 export type Tool = "look" | "measure" | "observer";
-export type Tab = "ask" | "why" | "things" | "report";
+export type Tab = "ask" | "why" | "things" | "photos" | "report";
 
-export const TABS: readonly Tab[] = ["ask", "why", "things", "report"];
+export const TABS: readonly Tab[] = ["ask", "why", "things", "photos", "report"];
 
 /** Where the eyes of an observer are that is placed by a click on the floor. */
 export const OBSERVER_HEIGHT_M = 1.5;
@@ -43,6 +46,8 @@ export class Room {
   readonly showCandidates = signal(false);
 
   readonly selected = signal<number | null>(null);
+  /** Things chosen together, to say something of all of them. */
+  readonly group = signal<number[]>([]);
   readonly hovered = signal<number | null>(null);
   readonly colouring = signal<Colouring>("photograph");
   readonly boxKind = signal<BoxKind>("turned");
@@ -59,29 +64,44 @@ export class Room {
   readonly tab = computed<Tab>(() => TABS.find((tab) => tab === route.value.parameters.get("tab")) ?? "ask");
   /** Whether numbers in the answer are those of the list of things. */
   readonly sameParse = computed(() => this.answer.value === null || this.answer.value.parse_version === this.scene.value?.parse_version);
+  readonly corrections: Corrections;
+  readonly photographs: Photographs;
   readonly boxes = computed<DrawnBox[]>(() => this.drawnBoxes());
   /** Things that stand out: what was chosen by hand, else what the answer means. */
   readonly lit = computed<number[]>(() => {
-    const lit = this.selected.value !== null ? [this.selected.value] : this.sameParse.value ? this.meant() : [];
-    return lit.flatMap((id) => this.thingsOf(id));
+    const chosen = this.chosen();
+    const lit = chosen.length ? chosen : this.sameParse.value ? this.meant() : [];
+    return lit.flatMap((id) => this.cutsOf(id));
   });
-  readonly tinted = computed<number[]>(() => (this.hovered.value === null ? [] : this.thingsOf(this.hovered.value)));
+  readonly tinted = computed<number[]>(() => (this.hovered.value === null ? [] : this.cutsOf(this.hovered.value)));
 
-  constructor(readonly id: string) {}
+  constructor(readonly id: string) {
+    this.photographs = new Photographs(id);
+    this.corrections = new Corrections(id, () => this.lookAgain());
+  }
 
   async load(signal: AbortSignal): Promise<void> {
     try {
       const scene = await getScene(this.id, signal);
       this.scene.value = scene;
       if (scene.status !== "ready") return;
-      const instances = await allInstances(this.id, signal);
-      this.instances.value = new Map(instances.map((instance) => [instance.id, instance]));
-      this.cutHeight.value = ceilingOf(instances);
+      await this.lookAgain(signal);
+      this.cutHeight.value = ceilingOf([...this.instances.value.values()]);
+      await this.corrections.load();
       await this.reopen();
       this.models.value = await getModels().catch(() => null);
     } catch (thrown) {
       if (!signal.aborted) this.problem.value = asProblem(thrown);
     }
+  }
+
+  /** What was found, as corrections have left it. */
+  private async lookAgain(signal?: AbortSignal): Promise<void> {
+    const instances = await allInstances(this.id, signal);
+    this.instances.value = new Map(instances.map((instance) => [instance.id, instance]));
+    const there = (id: number) => this.instances.value.get(id)?.dismissed === false || this.corrections.junk.value.has(id);
+    if (this.selected.value !== null && !there(this.selected.value)) this.select(null);
+    this.group.value = this.group.value.filter(there);
   }
 
   /** What a link asks for. */
@@ -150,6 +170,34 @@ export class Room {
     if (instance && look) this.frame(instance.oriented_box);
   }
 
+  /** Chooses a thing beside those that are chosen already, or lets go of it. */
+  gather(id: number): void {
+    const before = this.group.value;
+    const start = before.length || this.selected.value === null || this.selected.value === id ? before : [this.selected.value];
+    this.group.value = start.includes(id) ? start.filter((one) => one !== id) : [...start, id];
+  }
+
+  /** Says that the parse is wrong, and goes on with what came of it. */
+  async correct(change: Change): Promise<void> {
+    const made = await this.corrections.make(change);
+    if (!made || change.kind === "rename") return;
+    this.group.value = [];
+    this.select(made.made ?? null, false);
+  }
+
+  /**
+   * What the number of a point means now: people may have joined what the parse cut, taken it apart, or called it junk.
+   * Which part of what was taken apart a point belongs to, only boxes tell.
+   */
+  standing(cut: number, point?: Point): number | null {
+    const instance = this.instances.value.get(cut);
+    if (!instance) return null;
+    if (this.corrections.split.value.has(cut)) return (point && this.partsOf(instance).find(({ box }) => holds(box, point))?.id) ?? null;
+    if (instance.dismissed) return null;
+    const whole = this.mergedInto(instance);
+    return whole === null ? cut : this.standing(whole);
+  }
+
   /** Height of the floor, metres. */
   floor(): number {
     const floors = [...this.instances.peek().values()].filter(({ structure }) => structure === "floor");
@@ -159,15 +207,42 @@ export class Room {
     return extent ? extent.center[2]! - extent.size[2]! / 2 : 0;
   }
 
+  /** What a box is called: by people, by the answer (those of long ago name no candidates), else as in the list of things. */
   name(id: number): string {
-    const given = this.sameParse.value ? this.instances.value.get(id) : undefined;
-    return this.answer.value?.answer.candidate_names[id] ?? given?.model_name ?? given?.label ?? "";
+    const answer = this.answer.value;
+    const found = this.sameParse.value ? this.instances.value.get(id) : undefined;
+    const told = [...(answer?.targets ?? []), ...(answer?.candidates ?? []), ...(answer?.alternatives ?? [])].find((one) => one.id === id);
+    return found?.given_name ?? answer?.answer.candidate_names[id] ?? (told?.name || (found ? nameOf(found) : ""));
   }
 
-  /** Points know their thing only: a part has its thing's, a whole those of all it is made of. */
-  private thingsOf(id: number): number[] {
+  /** Points know the thing only that the parse cut: a part has its thing's, a whole those of all it is made of. */
+  private cutsOf(id: number): number[] {
     const instance = this.instances.value.get(id);
-    return instance?.things?.length ? instance.things : [id];
+    if (!instance) return [id];
+    const split = [...this.corrections.split.value].find((thing) => this.partsOf(this.instances.value.get(thing)!).includes(instance));
+    if (split !== undefined) return [split];
+    if (instance.merged_from?.length) return instance.merged_from.flatMap((member) => this.cutsOf(member));
+    return instance.things?.length && this.mergedInto(instance) === null ? instance.things : [id];
+  }
+
+  /** The thing that people made of this one and others. */
+  private mergedInto({ id, level, things }: InstanceView): number | null {
+    const whole = level === "part" ? things?.[0] : undefined;
+    return whole !== undefined && this.instances.value.get(whole)?.merged_from?.includes(id) ? whole : null;
+  }
+
+  /** What a thing was taken apart into, the smallest first. Its parts are numbered after all things of the parse, and lie in its box. */
+  private partsOf({ box }: InstanceView): InstanceView[] {
+    const things = this.scene.value?.counts?.instances ?? 0;
+    const part = ({ id, dismissed, level, merged_from, found_for, box: own }: InstanceView) =>
+      id > things && !dismissed && level === "thing" && !merged_from?.length && !found_for && holds(box, own.center);
+    const volume = ({ box: { size } }: InstanceView) => size.reduce((product, length) => product * length, 1);
+    return [...this.instances.value.values()].filter(part).sort((a, b) => volume(a) - volume(b));
+  }
+
+  /** What was chosen by hand. */
+  private chosen(): number[] {
+    return [...new Set([...this.group.value, ...(this.selected.value === null ? [] : [this.selected.value])])];
   }
 
   /** Numbers of what the answer means. */
@@ -184,7 +259,7 @@ export class Room {
     const drawn = (answer.targets ?? []).map(({ id, box, oriented_box }) => this.drawn(id, "answer", box, oriented_box));
     if (!drawn.length && answer.box) drawn.push(this.drawn(answer.answer.predicted_id ?? 0, "answer", answer.box, answer.oriented_box));
     if (!drawn.length && answer.status === "ambiguous") {
-      for (const { id, box } of answer.alternatives) drawn.push(this.drawn(id, "candidate", box));
+      for (const { id, box, oriented_box } of answer.alternatives) drawn.push(this.drawn(id, "candidate", box, oriented_box));
     }
     return drawn;
   }
@@ -195,22 +270,20 @@ export class Room {
       const instance = id == null ? undefined : this.instances.value.get(id);
       if (instance && boxes.every((box) => box.instance !== id)) boxes.push(this.drawn(id!, role, instance.box, instance.oriented_box));
     };
-    add(this.selected.value, "selected");
+    for (const id of this.chosen()) add(id, "selected");
     add(this.hovered.value, "hovered");
     if (this.boxKind.value === "none") return boxes.filter(({ role }) => role === "answer" || role === "selected");
     if (this.sameParse.value) add(this.answer.value?.answer.anchor_id, "anchor");
     if (this.showCandidates.value) {
-      for (const { id, box } of this.answer.value?.candidates ?? []) {
-        if (boxes.every((drawn) => drawn.instance !== id)) boxes.push(this.drawn(id, "candidate", box));
+      for (const { id, box, oriented_box } of this.answer.value?.candidates ?? []) {
+        if (boxes.every((drawn) => drawn.instance !== id)) boxes.push(this.drawn(id, "candidate", box, oriented_box));
       }
     }
     return boxes;
   }
 
-  private drawn(instance: number, role: DrawnBox["role"], box: { center: number[]; size: number[] }, turned?: OrientedBox | null): DrawnBox {
-    const own = this.sameParse.value ? this.instances.value.get(instance)?.oriented_box : null;
-    const oriented = turned ?? own;
-    return { instance, role, box: this.boxKind.value !== "aligned" && oriented ? oriented : { ...box, yaw_rad: 0 } };
+  private drawn(instance: number, role: DrawnBox["role"], box: Aabb, turned?: OrientedBox | null): DrawnBox {
+    return { instance, role, box: this.boxKind.value !== "aligned" && turned ? turned : { ...box, yaw_rad: 0 } };
   }
 }
 
@@ -228,6 +301,8 @@ export function around(boxes: OrientedBox[]): OrientedBox {
   });
   return { center: ends.map(([low, high]) => (low + high) / 2), size: ends.map(([low, high]) => high - low), yaw_rad: 0 };
 }
+
+const holds = ({ center, size }: Aabb, point: number[]) => point.every((figure, axis) => Math.abs(figure - center[axis]!) <= size[axis]! / 2);
 
 /** Where the room is cut at first: below its ceiling, where one was scanned. */
 function ceilingOf(instances: InstanceView[]): number {

@@ -1,12 +1,15 @@
 /** One thing: name, size, colours, what carries it, photographs; and how far it is from another. */
 
-import { useEffect, useRef } from "preact/hooks";
+import { useEffect, useRef, useState } from "preact/hooks";
 import { viewPath } from "../api/service";
 import type { InstanceView, OrientedBox, Support } from "../api/types";
 import { amend } from "../route";
 import { t } from "../text";
 import { numbers, place, Row } from "../ui/fields";
 import { Picture } from "../ui/picture";
+import { RenameForm } from "../ui/rename";
+import { NAME_LENGTH, Wrong } from "./correcting";
+import { nameOf } from "./names";
 import type { Room } from "./state";
 
 export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView }) {
@@ -16,8 +19,13 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
     // Who came from the list by keyboard goes on here; who clicked in the picture stays there.
     if (document.activeElement === document.body) heading.current!.focus();
   }, [thing.id]);
+  const [renaming, setRenaming] = useState(false);
+  const rename = (name: string) => {
+    setRenaming(false);
+    if (name && name !== nameOf(thing)) void room.correct({ kind: "rename", instance_id: thing.id, name });
+  };
   const all = room.instances.value;
-  const carried = [...all.values()].filter(({ level, support }) => level === "thing" && support.on === "instance" && support.id === thing.id);
+  const carried = [...all.values()].filter(({ level, support, dismissed }) => level === "thing" && !dismissed && support.on === "instance" && support.id === thing.id);
   const parts = [...all.values()].filter(({ level, things }) => level === "part" && things?.includes(thing.id));
   const { oriented_box: box } = thing;
   const degrees = Math.round((box.yaw_rad * 180) / Math.PI);
@@ -26,9 +34,18 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
       <button type="button" class="quiet" onClick={() => room.select(null)}>
         ← {t.things.close}
       </button>
-      <h3 ref={heading} tabIndex={-1} class="big">
-        {name} <span class="small">{t.answer.instance(thing.id)}</span>
-      </h3>
+      {renaming ? (
+        <RenameForm name={name} label={t.corrections.newName} maxLength={NAME_LENGTH} onDone={rename} />
+      ) : (
+        <div class="named">
+          <h3 ref={heading} tabIndex={-1} class="big">
+            {name} <span class="small">{t.answer.instance(thing.id)}</span>
+          </h3>
+          <button type="button" class="quiet" onClick={() => setRenaming(true)}>
+            {t.rename}
+          </button>
+        </div>
+      )}
       {thing.views[0] && <Picture path={viewPath(room.id, thing.id, 0, "crop")} alt={t.things.view(name, thing.views[0].frame)} class="crop" />}
       <dl class="fields">
         <Row term={t.things.size}>{numbers(box.size)} m</Row>
@@ -64,6 +81,7 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
         <Row term={t.things.flat}>{Math.round(thing.planarity * 100)} %</Row>
       </dl>
       <Measuring room={room} thing={thing} />
+      <Wrong room={room} thing={thing} />
       <h4>{t.things.views}</h4>
       {thing.views.length === 0 && <p class="small">{t.things.noViews}</p>}
       {thing.views.map((view, k) => (
@@ -75,8 +93,6 @@ export function ThingDetails({ room, thing }: { room: Room; thing: InstanceView 
     </article>
   );
 }
-
-const nameOf = (thing: InstanceView) => thing.model_name ?? thing.label;
 
 function Colours({ thing: { colours, mean_rgb } }: { thing: InstanceView }) {
   const shares = Object.entries(colours).sort(([, a], [, b]) => b - a);

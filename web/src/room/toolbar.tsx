@@ -4,6 +4,7 @@ import { useId, useState } from "preact/hooks";
 import { t } from "../text";
 import { copy } from "../ui/copy";
 import { Dialog } from "../ui/dialog";
+import { say } from "../ui/say";
 import type { Point } from "../view3d/marks";
 import type { Colouring } from "../view3d/points";
 import type { BoxKind, Room } from "./state";
@@ -18,6 +19,13 @@ export function Toolbar({ room, onWhole }: { room: Room; onWhole: () => void }) 
   const measure = () => {
     room.tool.value = measuring ? "look" : "measure";
     if (measuring) room.ends.value = [];
+  };
+  const { shown } = room.photographs;
+  const cameras = () => {
+    shown.value = !shown.value;
+    void room.photographs.load().then(() => {
+      if (shown.value && room.photographs.frames.value?.length === 0) say(t.photos.none);
+    });
   };
   return (
     <div class="toolbar" role="toolbar" aria-label={t.room.view}>
@@ -57,6 +65,9 @@ export function Toolbar({ room, onWhole }: { room: Room; onWhole: () => void }) 
         </button>
         <button type="button" class="quiet" aria-pressed={measuring} onClick={measure}>
           {t.room.measure}
+        </button>
+        <button type="button" class="quiet" aria-pressed={shown.value} onClick={cameras}>
+          {t.photos.cameras}
         </button>
         <button type="button" class="quiet" onClick={() => void copy(location.href, t.room.linkCopied)}>
           {t.room.link}

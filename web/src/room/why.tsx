@@ -66,11 +66,11 @@ function Factors({ room, answer }: { room: Room; answer: Answer }) {
       {answer.candidates && (
         <table class="figures">
           <tbody>
-            {answer.candidates.map(({ id, rank, score }) => (
+            {answer.candidates.map(({ id, rank, name, score }) => (
               <tr key={id}>
                 <td class="right">{rank}</td>
                 <th scope="row">
-                  {room.name(id)} <span class="number">{id}</span>
+                  {name || room.name(id)} <span class="number">{id}</span>
                 </th>
                 <td>
                   <Meter share={score} label={score.toFixed(3)} />

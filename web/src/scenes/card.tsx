@@ -9,8 +9,8 @@ import { t } from "../text";
 import { numbers } from "../ui/fields";
 import { Picture } from "../ui/picture";
 import { ofJob, ProblemNote } from "../ui/problem";
+import { RenameForm } from "../ui/rename";
 import { JobProgress } from "./job";
-import { RenameForm } from "./rename";
 
 interface Properties { scene: Scene; onGone: (id: string) => void; onChanged: (scene: Scene) => void }
 
@@ -34,10 +34,10 @@ export function SceneCard({ scene, onGone, onChanged }: Properties) {
   return (
     <li class="card">
       <a class="thumb" href={where} tabIndex={-1} aria-hidden="true">
-        {ready ? <Picture path={thumbnailPath(scene.id)} alt="" /> : <span class="missing">{t.scenes.noThumbnail}</span>}
+        {ready ? <Picture path={thumbnailPath(scene.id)} alt="" /> : <span class="picture" />}
       </a>
       <div class="card-body">
-        <h2>{renaming ? <RenameForm name={scene.name} onDone={rename} /> : <a href={where}>{scene.name}</a>}</h2>
+        <h2>{renaming ? <RenameForm name={scene.name} label={t.scenes.newName} maxLength={200} onDone={rename} /> : <a href={where}>{scene.name}</a>}</h2>
         <p class="facts">
           <span class={`badge ${status}`}>{t.scenes.status[status]}</span>
           {counts && <span>{t.scenes.things(counts.instances)}</span>}

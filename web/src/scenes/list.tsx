@@ -7,7 +7,7 @@ import type { Problem, Scene } from "../api/types";
 import { t } from "../text";
 import { ProblemNote } from "../ui/problem";
 import { SceneCard } from "./card";
-import { Upload } from "./upload";
+import { UploadPanel, useUpload } from "./upload";
 
 /** How often the list is looked at while something is being parsed, milliseconds. */
 const LOOK_EVERY = 2500;
@@ -28,6 +28,8 @@ export function ScenesPlace({ onReady }: { onReady: () => void }) {
       setProblem(asProblem(thrown));
     }
   }, []);
+
+  const upload = useUpload(() => void load());
 
   const loadMore = async () => {
     try {
@@ -57,13 +59,18 @@ export function ScenesPlace({ onReady }: { onReady: () => void }) {
   return (
     <div class="place">
       <h1>{t.scenes.title}</h1>
-      <Upload onCreated={() => void load()} />
+      <UploadPanel upload={upload} />
       {problem && <ProblemNote problem={problem} onAgain={() => void load()} />}
       {!scenes && !problem && <p class="wait">{t.loading}</p>}
       {scenes?.length === 0 && (
-        <p class="empty">
-          <b>{t.scenes.empty}</b> {t.scenes.emptyHint}
-        </p>
+        <div class="empty">
+          <p>
+            <b>{t.scenes.empty}</b> {t.scenes.emptyHint}
+          </p>
+          <button type="button" class="main" disabled={upload.step.at !== "idle"} onClick={() => void upload.takeSample()}>
+            {t.scenes.sample}
+          </button>
+        </div>
       )}
       <ul class="cards">
         {scenes?.map((scene) => <SceneCard key={scene.id} scene={scene} onGone={gone} onChanged={changed} />)}

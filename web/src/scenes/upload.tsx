@@ -1,7 +1,8 @@
-/** A scan on its way: dropped or chosen, sent, parsed, opened. */
+/** A scan on its way: dropped or chosen, or the sample; sent, parsed, opened. */
 
 import { useEffect, useRef, useState } from "preact/hooks";
 import { asProblem, wasAborted } from "../api/client";
+import { sendSample } from "../api/service";
 import { ACCEPTED, mediaTypeOf, type Sent, uploadScan } from "../api/upload";
 import type { Created, Job, Problem } from "../api/types";
 import { address } from "../route";
@@ -13,14 +14,16 @@ import { JobProgress, Progress } from "./job";
 type Step =
   | { at: "idle" }
   | { at: "sending"; file: File; sent: Sent | null; started: number; stop: AbortController }
+  | { at: "asking" }
   | { at: "parsing"; created: Created }
   | { at: "ready"; created: Created }
   | { at: "failed"; problem: Problem };
 
-export function Upload({ onCreated }: { onCreated: () => void }) {
+export type Upload = ReturnType<typeof useUpload>;
+
+/** One scan at a time; `onCreated` is told whenever the list of scenes is no longer right. */
+export function useUpload(onCreated: () => void) {
   const [step, setStep] = useState<Step>({ at: "idle" });
-  const [over, setOver] = useState(false);
-  const input = useRef<HTMLInputElement>(null);
 
   const refuse = (detail: string) =>
     setStep({ at: "failed", problem: { type: "about:blank", title: t.upload.title, status: 0, detail, code: "unsupported_media_type" } });
@@ -30,8 +33,17 @@ export function Upload({ onCreated }: { onCreated: () => void }) {
     const stop = new AbortController();
     const sending: Step = { at: "sending", file, sent: null, started: Date.now(), stop };
     setStep(sending);
+    await arrive(uploadScan(file, (sent) => setStep({ ...sending, sent }), stop.signal));
+  };
+
+  const takeSample = async () => {
+    setStep({ at: "asking" });
+    await arrive(sendSample());
+  };
+
+  const arrive = async (work: Promise<Created>) => {
     try {
-      const created = await uploadScan(file, (sent) => setStep({ ...sending, sent }), stop.signal);
+      const created = await work;
       onCreated();
       // The same scan again is ready at once.
       setStep({ at: created.scene.status === "ready" ? "ready" : "parsing", created });
@@ -51,6 +63,14 @@ export function Upload({ onCreated }: { onCreated: () => void }) {
       setStep({ at: "idle" });
     }
   };
+
+  return { step, take, takeSample, refuse, parsed, rest: () => setStep({ at: "idle" }), fail: (problem: Problem) => setStep({ at: "failed", problem }) };
+}
+
+export function UploadPanel({ upload }: { upload: Upload }) {
+  const { step, take, takeSample, refuse, parsed, rest, fail } = upload;
+  const [over, setOver] = useState(false);
+  const input = useRef<HTMLInputElement>(null);
 
   // A scan may be dropped anywhere on the page.
   useEffect(() => {
@@ -83,10 +103,15 @@ export function Upload({ onCreated }: { onCreated: () => void }) {
           {t.upload.drop}{" "}
           <button type="button" class="main" onClick={() => input.current!.click()}>
             {t.upload.choose}
+          </button>{" "}
+          {t.upload.or}{" "}
+          <button type="button" onClick={() => void takeSample()}>
+            {t.upload.sample}
           </button>
           <span class="small">{t.upload.what}</span>
         </p>
       )}
+      {step.at === "asking" && <p>{t.upload.asking}</p>}
       {step.at === "sending" && <Sending {...step} />}
       {step.at === "parsing" && step.created.job && (
         <>
@@ -94,7 +119,7 @@ export function Upload({ onCreated }: { onCreated: () => void }) {
           <JobProgress
             job={step.created.job.id}
             onDone={(job) => parsed(step.created, job)}
-            onLost={(thrown) => setStep({ at: "failed", problem: asProblem(thrown) })}
+            onLost={(thrown) => fail(asProblem(thrown))}
           />
         </>
       )}
@@ -104,7 +129,7 @@ export function Upload({ onCreated }: { onCreated: () => void }) {
           <a class="button main" href={address(["scenes", step.created.scene.id])}>
             {t.upload.open}
           </a>{" "}
-          <button type="button" class="quiet" onClick={() => setStep({ at: "idle" })}>
+          <button type="button" class="quiet" onClick={rest}>
             {t.upload.dismiss}
           </button>
         </p>
@@ -112,7 +137,7 @@ export function Upload({ onCreated }: { onCreated: () => void }) {
       {step.at === "failed" && (
         <>
           <ProblemNote problem={step.problem} />
-          <button type="button" onClick={() => setStep({ at: "idle" })}>
+          <button type="button" onClick={rest}>
             {t.upload.again}
           </button>
         </>

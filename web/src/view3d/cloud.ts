@@ -1,90 +1,78 @@
 /**
- * The cloud in memory, in an order of which every beginning is an even sample: while the view turns, only as many points
- * are drawn as this machine manages, and the rest follow when it rests.
+ * The cloud in memory, as it comes from the service and as the shader reads it: three words a point.
+ *
+ *   word 0   x, y           16 bits each, steps from the origin
+ *   word 1   z, red, green  16, 8 and 8 bits
+ *   word 2   blue, thing    8 and 24 bits; thing 0: none
+ *
+ * Every beginning of it is an even sample: what has arrived is drawn as if it were all, and while the view turns only as
+ * many points are drawn as this machine manages.
  */
 
-import { readPly } from "./ply";
+import type { Point } from "./marks";
 
-export interface Cloud {
-  count: number;
-  /** Metres, world frame (Z up). */
-  positions: Float32Array;
-  /** sRGB and 255, or 0 where the point has not arrived. */
-  colours: Uint8Array;
-  /** Id of the thing each point belongs to; 0: none, or not known yet. */
-  instances: Uint16Array;
+const HEADER_BYTES = 32;
+const POINT_BYTES = 12;
+export const POINT_WORDS = 3;
+
+export class Cloud {
+  readonly words: Uint32Array;
+  private readonly bytes: Uint8Array;
+  private filled = 0;
+
+  constructor(
+    readonly count: number,
+    readonly origin: Point,
+    /** Metres. */
+    readonly step: number,
+  ) {
+    this.words = new Uint32Array(count * POINT_WORDS);
+    this.bytes = new Uint8Array(this.words.buffer);
+  }
+
+  /** How many points are there, from the first. */
+  get arrived(): number {
+    return Math.floor(this.filled / POINT_BYTES);
+  }
+
+  append(bytes: Uint8Array): void {
+    this.bytes.set(bytes, this.filled);
+    this.filled += bytes.length;
+  }
+
+  /** Where point `i` is: metres, world frame (Z up). */
+  position(i: number): Point {
+    const [xy, z] = [this.words[i * POINT_WORDS]!, this.words[i * POINT_WORDS + 1]!];
+    return [xy & 0xffff, xy >>> 16, z & 0xffff].map((steps, axis) => this.origin[axis]! + steps * this.step) as Point;
+  }
+
+  /** Number of the thing that point `i` belongs to. */
+  instance(i: number): number {
+    return this.words[i * POINT_WORDS + 2]! >>> 8;
+  }
 }
 
-/** Fills a cloud from its file; `onPart` is called while points arrive and at the end. */
-export async function readCloud(body: ReadableStream<Uint8Array>, onStart: (cloud: Cloud) => void, onPart: () => void): Promise<Cloud> {
+/** Fills a cloud while its file arrives. */
+export async function readCloud(file: AsyncIterable<Uint8Array>, onStart: (cloud: Cloud) => void, onMore: (cloud: Cloud) => void): Promise<void> {
+  const header = new Uint8Array(HEADER_BYTES);
+  let held = 0;
   let cloud: Cloud | null = null;
-  let place = (i: number) => i;
-  let offsets = { x: 0, y: 4, z: 8, red: 12, green: 13, blue: 14, stride: 15 };
-  await readPly(
-    body,
-    ({ count, stride, at }) => {
-      const of = (name: string) => at.get(name) ?? missing(name);
-      offsets = { x: of("x"), y: of("y"), z: of("z"), red: of("red"), green: of("green"), blue: of("blue"), stride };
-      place = scattered(count);
-      cloud = {
-        count,
-        positions: new Float32Array(count * 3),
-        colours: new Uint8Array(count * 4),
-        instances: new Uint16Array(count),
-      };
-      onStart(cloud);
-    },
-    (bytes, first, count) => {
-      const { positions, colours } = cloud!;
-      for (let i = 0; i < count; i++) {
-        const from = i * offsets.stride;
-        const to = place(first + i);
-        positions[to * 3] = bytes.getFloat32(from + offsets.x, true);
-        positions[to * 3 + 1] = bytes.getFloat32(from + offsets.y, true);
-        positions[to * 3 + 2] = bytes.getFloat32(from + offsets.z, true);
-        colours[to * 4] = bytes.getUint8(from + offsets.red);
-        colours[to * 4 + 1] = bytes.getUint8(from + offsets.green);
-        colours[to * 4 + 2] = bytes.getUint8(from + offsets.blue);
-        colours[to * 4 + 3] = 255;
-      }
-      onPart();
-    },
-  );
-  return cloud!;
+  for await (const bytes of file) {
+    const ofHeader = bytes.subarray(0, HEADER_BYTES - held);
+    header.set(ofHeader, held);
+    held += ofHeader.length;
+    if (held < HEADER_BYTES) continue;
+    if (!cloud) onStart((cloud = emptyCloud(header)));
+    cloud.append(bytes.subarray(ofHeader.length));
+    onMore(cloud);
+  }
+  if (!cloud || cloud.arrived < cloud.count) throw new Error("the cloud broke off");
 }
 
-/** Adds which thing every point belongs to. The file has the same points in the same order; another parse's may not. */
-export async function readInstances(body: ReadableStream<Uint8Array>, cloud: Cloud): Promise<boolean> {
-  const place = scattered(cloud.count);
-  let fits = false;
-  let at = 0;
-  let stride = 0;
-  await readPly(
-    body,
-    (header) => {
-      fits = header.count === cloud.count;
-      at = header.at.get("instance") ?? missing("instance");
-      stride = header.stride;
-    },
-    (bytes, first, count) => {
-      if (!fits) return;
-      for (let i = 0; i < count; i++) cloud.instances[place(first + i)] = Math.max(0, bytes.getInt32(i * stride + at, true));
-    },
-  );
-  return fits;
-}
-
-function missing(name: string): never {
-  throw new Error(`the cloud has no ${name}`);
-}
-
-/** Steps through all places by a golden share of them: neighbours of the file come to lie far apart. */
-function scattered(count: number): (i: number) => number {
-  let step = Math.max(1, Math.round(count * 0.6180339887));
-  while (greatestCommonDivisor(step, count) !== 1) step += 1;
-  return (i) => (i * step) % count;
-}
-
-function greatestCommonDivisor(a: number, b: number): number {
-  return b === 0 ? a : greatestCommonDivisor(b, a % b);
+function emptyCloud(header: Uint8Array): Cloud {
+  const view = new DataView(header.buffer);
+  const magic = new TextDecoder("latin1").decode(header.subarray(0, 4));
+  if (magic !== "UGP1" || view.getUint32(8, true) !== POINT_BYTES) throw new Error("these points are not read here");
+  const origin: Point = [view.getFloat32(16, true), view.getFloat32(20, true), view.getFloat32(24, true)];
+  return new Cloud(view.getUint32(4, true), origin, view.getFloat32(28, true));
 }

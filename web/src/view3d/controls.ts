@@ -31,7 +31,7 @@ export class Controls {
   walking = false;
   home: Pose = this.pose;
   /** A pointer that went down and up without moving. */
-  onClick: (x: number, y: number) => void = () => undefined;
+  onClick: (event: PointerEvent) => void = () => undefined;
   private readonly pointers = new Map<number, { x: number; y: number }>();
   private travelled = 0;
   private changed = -Infinity;
@@ -159,7 +159,7 @@ export class Controls {
 
   private up(event: PointerEvent): void {
     if (!this.pointers.delete(event.pointerId)) return;
-    if (this.travelled < 5 && event.button === 0) this.onClick(event.clientX, event.clientY);
+    if (this.travelled < 5 && event.button === 0) this.onClick(event);
     this.onMove();
   }
 

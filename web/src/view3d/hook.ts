@@ -8,11 +8,13 @@ import type { Point } from "./marks";
 import type { Picked, Viewer } from "./viewer";
 
 export interface TestHook {
-  /** Whether points, and whose they are, have arrived. */
-  loaded(): { points: number; instances: boolean };
+  /** Points that have arrived, and all there are; 0 before it is known. */
+  loaded(): { points: number; all: number };
   /** Points in the last picture. */
   shown(): number;
   boxes(): DrawnBox[];
+  /** Cameras that are drawn: number of the frame, and where it was taken. */
+  frames(): { index: number; position: Point }[];
   /** Place of a point of the world in the window, CSS pixels. */
   project(point: Point): { x: number; y: number } | null;
   pick(clientX: number, clientY: number): Picked | null;
@@ -23,11 +25,12 @@ declare global {
   interface Window { unigroundPage?: TestHook }
 }
 
-export function offerHook(viewer: Viewer, canvas: HTMLCanvasElement, loaded: () => { points: number; instances: boolean }): void {
+export function offerHook(viewer: Viewer, canvas: HTMLCanvasElement): void {
   window.unigroundPage = {
-    loaded,
+    loaded: () => viewer.loaded,
     shown: () => viewer.shown,
     boxes: () => viewer.boxes.drawn,
+    frames: () => viewer.frusta.places(),
     project: (point) => {
       const at = viewer.project(point);
       const { left, top } = canvas.getBoundingClientRect();

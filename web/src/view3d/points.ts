@@ -8,7 +8,7 @@
 import {
   BufferAttribute, BufferGeometry, DataTexture, GLSL3, NearestFilter, Points, RGBAFormat, ShaderMaterial, UnsignedByteType, Vector2, Vector4,
 } from "three";
-import type { Cloud } from "./cloud";
+import { type Cloud, POINT_WORDS } from "./cloud";
 
 export type Colouring = "photograph" | "instance" | "height";
 
@@ -27,9 +27,9 @@ const TABLE_WIDTH = 256;
 export const MAX_CUTS = 8;
 
 const VERTEX = /* glsl */ `
-  in vec4 colour;
-  in float instance;
-  uniform float pixelsPerMetre, smallest, cutHeight, fade;
+  in uvec3 words;
+  uniform vec3 origin;
+  uniform float stride, pixelsPerMetre, smallest, cutHeight, fade;
   uniform int mode, cuts;
   uniform vec2 heights;
   uniform vec3 tint, ground;
@@ -62,20 +62,22 @@ const VERTEX = /* glsl */ `
   }
 
   void main() {
-    int id = int(instance + 0.5);
+    vec3 place = origin + stride * vec3(words.x & 0xffffu, words.x >> 16, words.y & 0xffffu);
+    vec3 colour = vec3((words.y >> 16) & 0xffu, words.y >> 24, words.z & 0xffu) / 255.0;
+    int id = int(words.z >> 8);
     vec4 entry = texelFetch(table, ivec2(id % ${TABLE_WIDTH}, id / ${TABLE_WIDTH}), 0);
-    if (colour.a < 0.5 || isCut(position)) {
+    if (isCut(place)) {
       gl_Position = vec4(2.0, 2.0, 2.0, 1.0);
       gl_PointSize = 0.0;
       return;
     }
-    vec4 seen = modelViewMatrix * vec4(position, 1.0);
+    vec4 seen = modelViewMatrix * vec4(place, 1.0);
     gl_Position = projectionMatrix * seen;
     gl_PointSize = clamp(pixelsPerMetre / -seen.z, smallest, 24.0);
     #ifdef PICKING
       number = uint(gl_VertexID) + 1u;
     #else
-      tone = mode == 0 ? colour.rgb : mode == 1 ? entry.rgb : byHeight((position.z - heights.x) / (heights.y - heights.x));
+      tone = mode == 0 ? colour : mode == 1 ? entry.rgb : byHeight((place.z - heights.x) / (heights.y - heights.x));
       if (entry.a < 0.9) {
         float grey = dot(tone, vec3(0.3, 0.59, 0.11));
         tone = mix(tone, mix(mix(tone, vec3(grey), 0.5), ground, 0.3), fade);
@@ -112,13 +114,19 @@ export class CloudPoints {
   private readonly drawn: ShaderMaterial;
   private readonly geometry = new BufferGeometry();
   private readonly table: DataTexture;
+  private readonly words: BufferAttribute;
+  /** Points the graphics card has. */
+  private sent = 0;
 
   constructor(private readonly cloud: Cloud, instances: number) {
+    this.words = new BufferAttribute(cloud.words, POINT_WORDS);
     const rows = Math.ceil((instances + 1) / TABLE_WIDTH);
     this.table = new DataTexture(new Uint8Array(TABLE_WIDTH * rows * 4).fill(PLAIN), TABLE_WIDTH, rows, RGBAFormat, UnsignedByteType);
     this.table.minFilter = this.table.magFilter = NearestFilter;
     this.table.needsUpdate = true;
     const uniforms = {
+      origin: { value: cloud.origin },
+      stride: { value: cloud.step },
       pixelsPerMetre: { value: 1 },
       smallest: { value: 1 },
       cutHeight: { value: Infinity },
@@ -136,22 +144,22 @@ export class CloudPoints {
       new ShaderMaterial({ glslVersion: GLSL3, vertexShader: VERTEX, fragmentShader: FRAGMENT, uniforms, defines });
     this.drawn = material({});
     this.picking = material({ PICKING: "1" });
-    this.geometry.setAttribute("position", new BufferAttribute(cloud.positions, 3));
-    this.geometry.setAttribute("colour", new BufferAttribute(cloud.colours, 4, true));
-    this.geometry.setAttribute("instance", new BufferAttribute(cloud.instances, 1));
+    this.geometry.setAttribute("words", this.words);
     this.points = new Points(this.geometry, this.drawn);
     this.points.frustumCulled = false;
   }
 
-  /** More points, or their instances, have arrived. */
-  arrived(what: "points" | "instances"): void {
-    const names = what === "points" ? ["position", "colour"] : ["instance"];
-    for (const name of names) this.geometry.getAttribute(name).needsUpdate = true;
+  /** More points have arrived: only they go to the graphics card. */
+  arrived(): void {
+    const { arrived } = this.cloud;
+    this.words.addUpdateRange(this.sent * POINT_WORDS, (arrived - this.sent) * POINT_WORDS);
+    this.words.needsUpdate = true;
+    this.sent = arrived;
   }
 
   /** How many points are drawn at most: an even sample of them all. */
   drawAtMost(count: number): void {
-    this.geometry.setDrawRange(0, Math.min(count, this.cloud.count));
+    this.geometry.setDrawRange(0, Math.min(count, this.sent));
   }
 
   set(what: { mode?: Colouring; cutHeight?: number; heights?: [number, number]; pixelsPerMetre?: number; smallest?: number; fade?: number; ground?: number[] }): void {

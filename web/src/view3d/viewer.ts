@@ -6,11 +6,12 @@
  */
 
 import { Color, Object3D, PerspectiveCamera, Scene, Vector3, WebGLRenderer } from "three";
-import type { Aabb, InstanceView, Observer, OrientedBox } from "../api/types";
+import type { Aabb, FrameView, InstanceView, Observer, OrientedBox } from "../api/types";
 import { Boxes, type DrawnBox } from "./boxes";
 import type { Cloud } from "./cloud";
 import { Controls, type Pose } from "./controls";
 import { cornersOf, wholeRoom } from "./framing";
+import { Frusta } from "./frusta";
 import { Marks, type Point } from "./marks";
 import { Picker } from "./pick";
 import { type Colouring, CloudPoints, LIT, PLAIN, TINTED } from "./points";
@@ -31,6 +32,9 @@ const WIDEST = 2.5;
 /** A picture at rest may take so many times as long: a second. */
 const AT_REST = 25;
 
+/** Marked in the browser's own measurements. */
+const FIRST_PICTURE = "first picture";
+
 /** From where the whole room is shown, radians. */
 const HOME_AZIMUTH = -2.1;
 const HOME_ELEVATION = 0.85;
@@ -45,6 +49,7 @@ export class Viewer {
   readonly camera = new PerspectiveCamera(50, 1, 0.05, 200);
   readonly boxes = new Boxes();
   readonly marks = new Marks();
+  readonly frusta = new Frusta();
   /** Called after each picture, for labels that hang on things. */
   onDrawn: () => void = () => undefined;
   /** Milliseconds the last pictures took while the camera moved. */
@@ -62,14 +67,12 @@ export class Viewer {
   private cutHeight = Infinity;
   private spacing_m = 0.02;
   private corners: Point[] = [];
-  private painted: number[] = [];
+  private lit: number[] = [];
+  private tinted: number[] = [];
   private ground = [1, 1, 1];
   private tones = new Map<number, [number, number, number]>();
   private budget = BUDGET;
-  private has = false;
   private moved = false;
-  /** More points are on their way. */
-  loading = false;
   private request = 0;
   private last = 0;
 
@@ -77,7 +80,7 @@ export class Viewer {
     const card = hasGraphicsCard();
     this.renderer = new WebGLRenderer({ canvas, antialias: card, powerPreference: "high-performance" });
     this.renderer.setPixelRatio(card ? Math.min(devicePixelRatio, 2) : 1);
-    this.scene.add(this.boxes.group, this.marks.group);
+    this.scene.add(this.boxes.group, this.marks.group, this.frusta.group);
     this.controls = new Controls(this.camera, canvas, () => this.turned());
     this.resizing = new ResizeObserver(() => this.resize());
     this.resizing.observe(canvas.parentElement!);
@@ -92,7 +95,7 @@ export class Viewer {
     this.draw();
   }
 
-  /** Takes a cloud, whole or still empty; it stands where the extent says. */
+  /** Takes a cloud that is still empty; it stands where the extent says. What its points are of is to be told next. */
   load(cloud: Cloud, extent: Aabb, instances: Map<number, InstanceView>): void {
     this.points?.dispose();
     if (this.points) this.scene.remove(this.points.points);
@@ -105,19 +108,29 @@ export class Viewer {
     this.spacing_m = Math.min(0.06, 1.7 * Math.sqrt((2 * (dx * dy + dy * dz + dx * dz)) / Math.max(1, cloud.count)));
     this.points.set({ heights: [bottom, bottom + dz] });
     this.walls = wallsOf(instances.values(), extent);
-    this.tones = tonesOf(instances);
-    for (const [id, tone] of this.tones) this.points.paint(id, tone, PLAIN);
-    this.points.paint(0, NO_TONE, PLAIN);
     this.points.set({ ground: this.ground });
     this.corners = cornersOf(instances.values(), extent);
     this.resize();
   }
 
-  /** More of the cloud has arrived. */
-  arrived(what: "points" | "instances"): void {
-    this.points?.arrived(what);
-    this.has = true;
-    this.draw();
+  /** Takes what the points are of: for each number that points have, the instance it means now, or `null`. */
+  know(instances: Map<number, InstanceView>, standing: (cut: number) => number | null): void {
+    this.tones = tonesOf(instances, standing);
+    this.points?.paint(0, NO_TONE, PLAIN);
+    for (const [id, tone] of this.tones) this.points?.paint(id, tone, PLAIN);
+    this.light(this.lit, this.tinted);
+  }
+
+  /** More of the cloud has arrived: it is shown before more is waited for. */
+  arrived(): void {
+    this.points?.arrived();
+    cancelAnimationFrame(this.request);
+    this.picture(performance.now());
+  }
+
+  /** Points that have arrived, and all there are. */
+  get loaded(): { points: number; all: number } {
+    return { points: this.cloud?.arrived ?? 0, all: this.cloud?.count ?? 0 };
   }
 
   colour(mode: Colouring): void {
@@ -133,10 +146,10 @@ export class Viewer {
   /** Brings out some instances before all others, and tints some. */
   light(lit: number[], tinted: number[]): void {
     const paint = (ids: number[], state: number) => ids.forEach((id) => this.points?.paint(id, this.tones.get(id) ?? NO_TONE, state));
-    paint(this.painted, PLAIN);
+    paint([...this.lit, ...this.tinted], PLAIN);
     paint(tinted, TINTED);
     paint(lit, LIT);
-    this.painted = [...lit, ...tinted];
+    [this.lit, this.tinted] = [lit, tinted];
     this.points?.set({ fade: lit.length ? 1 : 0 });
     this.draw();
   }
@@ -153,6 +166,16 @@ export class Viewer {
 
   stand(observer: Observer | null): void {
     this.marks.stand(observer);
+    this.draw();
+  }
+
+  showFrames(frames: FrameView[]): void {
+    this.frusta.show(frames);
+    this.draw();
+  }
+
+  highlightFrame(frame: FrameView | null): void {
+    this.frusta.highlight(frame);
     this.draw();
   }
 
@@ -178,8 +201,13 @@ export class Viewer {
     const { left, top } = this.canvas.getBoundingClientRect();
     const i = this.picker.at(this.renderer, this.camera, this.points, clientX - left, clientY - top);
     if (i === null) return null;
-    const [x, y, z] = this.cloud.positions.subarray(i * 3, i * 3 + 3);
-    return { point: [x!, y!, z!], instance: this.cloud.instances[i]! };
+    return { point: this.cloud.position(i), instance: this.cloud.instance(i) };
+  }
+
+  /** Number of the frame that is drawn at a place of the window. */
+  pickFrame(clientX: number, clientY: number): number | null {
+    const { left, top, width, height } = this.canvas.getBoundingClientRect();
+    return this.frusta.at(this.camera, width, height, clientX - left, clientY - top);
   }
 
   /** Where a place of the world lies on the canvas, CSS pixels; `null` behind the camera. */
@@ -209,12 +237,13 @@ export class Viewer {
       const { position } = this.camera;
       const inside = this.controls.walking;
       this.points.cut(this.cutWalls && !inside ? lookedThrough(this.walls, position.x, position.y) : []);
-      const most = moving || this.loading ? this.budget : this.budget * AT_REST;
-      const share = Math.min(1, most / this.cloud.count);
-      this.shown = this.has ? Math.ceil(share * this.cloud.count) : 0;
-      this.points.drawAtMost(Math.ceil(share * this.cloud.count));
+      const { arrived, count } = this.cloud;
+      const most = moving || arrived < count ? this.budget : this.budget * AT_REST;
+      if (arrived && !this.shown) performance.mark(FIRST_PICTURE);
+      this.shown = Math.min(arrived, Math.ceil(most));
+      this.points.drawAtMost(this.shown);
       const perMetre = (this.canvas.clientHeight * this.renderer.getPixelRatio()) / (2 * Math.tan((this.camera.fov * Math.PI) / 360));
-      const pixelsPerMetre = this.spacing_m * perMetre * Math.min(WIDEST, 1 / Math.sqrt(share));
+      const pixelsPerMetre = this.spacing_m * perMetre * Math.min(WIDEST, Math.sqrt(count / Math.max(1, this.shown)));
       this.points.set({ cutHeight: inside ? Infinity : this.cutHeight, pixelsPerMetre, smallest: this.renderer.getPixelRatio() });
     }
     this.renderer.render(this.scene, this.camera);
@@ -252,6 +281,7 @@ export class Viewer {
     this.points?.dispose();
     this.boxes.dispose();
     this.marks.dispose();
+    this.frusta.dispose();
     this.picker.dispose();
     this.renderer.dispose();
   }
@@ -267,19 +297,21 @@ function hasGraphicsCard(): boolean {
   return !/swiftshader|llvmpipe|softpipe|software|basic render/i.test(renderer);
 }
 
-/** A tone for each instance, far from its neighbours' in number; parts of the building are grey. */
-function tonesOf(instances: Map<number, InstanceView>): Map<number, [number, number, number]> {
+/** A tone for each number that points have: that of the instance it means. */
+function tonesOf(instances: Map<number, InstanceView>, standing: (cut: number) => number | null): Map<number, [number, number, number]> {
   const tones = new Map<number, [number, number, number]>();
-  for (const [id, { structure }] of instances) {
-    if (structure) {
-      const grey = structure === "floor" ? 120 : 165;
-      tones.set(id, [grey, grey, grey]);
-    } else {
-      const hue = (id * 0.6180339887) % 1;
-      tones.set(id, tone(hue, 0.5 + 0.2 * ((id * 0.37) % 1), 0.5 + 0.15 * ((id * 0.73) % 1)));
-    }
+  for (const cut of instances.keys()) {
+    const instance = instances.get(standing(cut) ?? 0);
+    tones.set(cut, instance ? toneOf(instance) : NO_TONE);
   }
   return tones;
+}
+
+/** Far from that of its neighbours in number; parts of the building are grey. */
+function toneOf({ id, structure }: InstanceView): [number, number, number] {
+  if (!structure) return tone((id * 0.6180339887) % 1, 0.5 + 0.2 * ((id * 0.37) % 1), 0.5 + 0.15 * ((id * 0.73) % 1));
+  const grey = structure === "floor" ? 120 : 165;
+  return [grey, grey, grey];
 }
 
 function tone(hue: number, saturation: number, lightness: number): [number, number, number] {

@@ -32,8 +32,11 @@ export function keep(page, name) {
   return page.screenshot({ path: fileURLToPath(new URL(`../../shots/${name}.png`, import.meta.url)) });
 }
 
-/** Until points, and whose they are, are drawn and the view rests. */
+/** Until all points are drawn and the view rests. */
 export async function drawn(page) {
-  await page.waitForFunction(() => window.unigroundPage?.loaded().instances && !window.unigroundPage.camera().moving);
+  await page.waitForFunction(() => {
+    const { points, all } = window.unigroundPage?.loaded() ?? { all: 0 };
+    return all > 0 && points === all && !window.unigroundPage.camera().moving;
+  });
   await page.waitForTimeout(300);
 }

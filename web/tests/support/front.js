@@ -3,6 +3,7 @@
 import { createServer, request } from "node:http";
 import { readFileSync } from "node:fs";
 import { extname } from "node:path";
+import { gzipSync } from "node:zlib";
 
 export const POLICY =
   "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' blob:; connect-src 'self'; " +
@@ -18,10 +19,7 @@ export function front(address, instead = () => null) {
   const server = createServer((asked, answer) => {
     const path = asked.url.split("?")[0];
     const other = instead(path);
-    if (other) {
-      answer.setHeader("content-length", other.length);
-      return void answer.end(other);
-    }
+    if (other) return void sendRange(asked, answer, other);
     const file = path === "/" || path === "/viewer" ? "index.html" : path.startsWith("/assets/") ? path.slice(1) : null;
     if (!file) {
       const passed = request({ hostname, port, path: asked.url, method: asked.method, headers: asked.headers }, (reply) => {
@@ -35,9 +33,23 @@ export function front(address, instead = () => null) {
     answer.setHeader("content-type", TYPES[extname(file)]);
     answer.setHeader("content-security-policy", POLICY);
     answer.setHeader("x-content-type-options", "nosniff");
-    answer.end(readFileSync(new URL(file, dist)));
+    answer.setHeader("content-encoding", "gzip");
+    answer.end(gzipSync(readFileSync(new URL(file, dist))));
   });
   return new Promise((resolve) => {
     server.listen(0, "127.0.0.1", () => resolve({ address: `http://127.0.0.1:${server.address().port}`, close: () => server.close() }));
   });
+}
+
+/** As the service sends a file: whole, or the range that was asked for. */
+function sendRange(asked, answer, bytes) {
+  const [, first, last] = /^bytes=(\d+)-(\d+)$/.exec(asked.headers.range ?? "") ?? [];
+  answer.setHeader("etag", '"grown"');
+  if (first === undefined) {
+    answer.setHeader("content-length", bytes.length);
+    return answer.end(bytes);
+  }
+  const part = bytes.subarray(Number(first), Number(last) + 1);
+  answer.writeHead(206, { "content-length": part.length, "content-range": `bytes ${first}-${Number(first) + part.length - 1}/${bytes.length}` });
+  answer.end(part);
 }

@@ -115,11 +115,7 @@ pub(super) fn assemble(scene: SceneView, question: &Question, parsed: &ParsedQue
         oriented_box: chosen.map(|i| i.oriented_box),
         confidence,
         candidates,
-        alternatives: rivals
-            .iter()
-            .take(MAX_ALTERNATIVES)
-            .map(|i| alternative(i, described(i), belief(i)))
-            .collect(),
+        alternatives: rivals.iter().take(MAX_ALTERNATIVES).map(|i| alternative(i, described(i), belief(i))).collect(),
         count: asks_for_several.then_some(targets.len() as u32),
         targets,
         parsed_query: summarise(parsed),

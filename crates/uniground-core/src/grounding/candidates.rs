@@ -31,7 +31,11 @@ pub(super) fn choose(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], 
         CandidateSource::Reasoner => reasoned(assessor, parsed, scores, top_k),
         CandidateSource::Fused => fused(assessor, parsed, scores, top_k),
     };
-    order.into_iter().zip(1..).map(|(i, rank)| candidate(&scene.instances[i], rank, scores[i])).collect()
+    order
+        .into_iter()
+        .zip(1..)
+        .map(|(i, rank)| candidate(&scene.instances[i], rank, scores[i]))
+        .collect()
 }
 
 /// How alike an instance's looks and the question's words are, by index, one instance for each place; names and measures where no encoder

@@ -44,7 +44,10 @@ pub(super) fn lone(folder: &Utf8Path) -> Result<Option<Utf8PathBuf>, IngestError
         if entries.iter().any(|path| path.file_name() == Some("scene.json")) {
             return Ok(None);
         }
-        let mut found: Vec<&Utf8PathBuf> = entries.iter().filter(|path| recognises(&head_of(path), path.extension().unwrap_or_default())).collect();
+        let mut found: Vec<&Utf8PathBuf> = entries
+            .iter()
+            .filter(|path| recognises(&head_of(path), path.extension().unwrap_or_default()))
+            .collect();
         if found.len() == 1 {
             return Ok(found.pop().cloned());
         }

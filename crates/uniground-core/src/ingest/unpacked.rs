@@ -127,6 +127,7 @@ fn copy_beside(mesh: &Utf8Path, folder: &Utf8Path, target: &Utf8Path) -> std::io
 #[must_use]
 pub fn what_it_is(head: &[u8]) -> &'static str {
     match head {
+        [] => "this is empty",
         [0xff, 0xd8, ..] | [0x89, b'P', b'N', b'G', ..] => "this is a picture: a scan has many, with depth and poses",
         [_, _, _, _, b'f', b't', b'y', b'p', ..] => "this is a video: a scan needs its frames as pictures, with depth and poses",
         [b'#', b'R', b'O', b'S', b'B', b'A', b'G', ..] => "this is a ROS bag: export colour, depth and poses from it first",

@@ -66,7 +66,10 @@ const VIEWS: usize = 3;
 #[must_use]
 pub fn known_as<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a Instance> {
     let overlap = |i: &Instance| i.aabb.iou(&found.aabb);
-    let best = known.iter().filter(|i| !i.dismissed).max_by(|a, b| overlap(a).total_cmp(&overlap(b)).then(b.id.cmp(&a.id)));
+    let best = known
+        .iter()
+        .filter(|i| !i.dismissed)
+        .max_by(|a, b| overlap(a).total_cmp(&overlap(b)).then(b.id.cmp(&a.id)));
     best.filter(|i| overlap(i) >= SAME_THING)
 }
 
@@ -128,7 +131,11 @@ impl Pointing<'_> {
             .map(|option| looked.seen.iter().map(|point| option.mask.holds(looked, point)).collect())
             .collect();
         let share = |instance: &Instance| {
-            let in_box: Vec<bool> = looked.seen.iter().map(|p| instance.aabb.contains(&self.cloud.positions[p.point as usize])).collect();
+            let in_box: Vec<bool> = looked
+                .seen
+                .iter()
+                .map(|p| instance.aabb.contains(&self.cloud.positions[p.point as usize]))
+                .collect();
             let iou = |under: &Vec<bool>| {
                 let count = |both: fn((&bool, &bool)) -> bool| under.iter().zip(&in_box).filter(|(a, b)| both((a, b))).count();
                 count(|(a, b)| *a && *b) as f32 / count(|(a, b)| *a || *b).max(1) as f32

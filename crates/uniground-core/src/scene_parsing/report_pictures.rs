@@ -30,7 +30,8 @@ const DROPPED_GREY: [u8; 3] = [90, 90, 90];
 /// [`ParseError`] for unreadable frames and cancellation.
 pub fn render(scene: &ParsedScene, frames: &[FrameRef], progress: &Progress) -> Result<Vec<ReportPicture>, ParseError> {
     let by_superpoint = RenderScene::of_parsed(recoloured(scene, |i| id_colour(scene.superpoint_of_point[i])), &scene.instances);
-    let by_instance = RenderScene::of_parsed(recoloured(scene, |i| instance_colour(&scene.instances, scene.instance_of_point[i])), &scene.instances);
+    let by_instance =
+        RenderScene::of_parsed(recoloured(scene, |i| instance_colour(&scene.instances, scene.instance_of_point[i])), &scene.instances);
     let count = FRAMES.min(frames.len());
     let shown = (0..count).map(|k| &frames[frames.len() * (2 * k + 1) / (2 * count)]);
     let structural = scene.report.structural;
