@@ -127,6 +127,33 @@ async fn things_that_are_one_become_one() {
 }
 
 #[tokio::test]
+async fn a_thing_that_is_several_leaves_its_parts() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let client = &server.client;
+    let before = client.all_instances(&scene.id, Levels::All).await.unwrap();
+    let parts_of = |id: InstanceId| before.iter().filter(move |i| i.level == Level::Part && i.things == [id]).collect::<Vec<_>>();
+    let several = before.iter().find(|i| parts_of(i.id).len() >= 2).expect("something in the living room has two parts");
+    let parts: Vec<InstanceId> = parts_of(several.id).iter().map(|part| part.id).collect();
+    let split = client.correct(&scene.id, &Change::Split { instance_id: several.id }).await.unwrap();
+    let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();
+    assert!(things.iter().all(|i| i.id != several.id) && parts.iter().all(|part| things.iter().any(|i| i.id == *part)));
+    // Two of the parts may be one thing; of parts only their boxes are known.
+    let merge = Change::Merge { instance_ids: parts[..2].to_vec(), name: None };
+    let made = client.correct(&scene.id, &merge).await.unwrap();
+    let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();
+    let one = things.iter().find(|i| Some(i.id) == made.made).unwrap();
+    let around = Aabb::around(parts_of(several.id)[..2].iter().flat_map(|part| part.raw_box.corners()).collect::<Vec<_>>().iter()).unwrap();
+    assert!(one.point_count > 0 && one.raw_box.shared_volume(&around) > 0.99 * one.raw_box.volume(), "{one:?} {around:?}");
+    for correction in [&made, &split] {
+        client.undo_correction(&scene.id, &correction.id).await.unwrap();
+    }
+    let after = client.all_instances(&scene.id, Levels::All).await.unwrap();
+    assert_eq!(after[..before.len()], before[..]);
+    server.stop().await;
+}
+
+#[tokio::test]
 async fn what_can_not_be_corrected_is_told() {
     let server = TestServer::start().await;
     let scene = server.parsed(Scan::neutral().zip()).await;

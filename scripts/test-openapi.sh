@@ -1,0 +1,37 @@
+#!/usr/bin/env bash
+# The committed description by those who read it: a linter, and clients made of it in two languages, compiled.
+#
+# Needs Python 3, and npm for the linter and the TypeScript client (where npm is missing it says so and leaves these out); installs
+# openapi-python-client and mypy into .venv-openapi once.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+redocly=2.77.0
+python_client=0.29.1
+mypy=2.4.1
+made=$(mktemp -d)
+mkdir "$made/types"
+trap 'rm -rf "$made"' EXIT
+
+venv=.venv-openapi
+if ! "$venv/bin/openapi-python-client" --version 2>/dev/null | grep -qF "$python_client"; then
+    "${PYTHON:-python3}" -m venv $venv
+    $venv/bin/python -m pip install --quiet --disable-pip-version-check "openapi-python-client==$python_client" "mypy==$mypy"
+fi
+PATH=$PWD/$venv/bin:$PATH openapi-python-client generate --path openapi/openapi.json --config openapi/python-client.yaml \
+    --output-path "$made/uniground_made" --meta none --fail-on-warning
+# The generator's own: how it leaves httpx's client, and a field that is called as its class is.
+cat >"$made/mypy.ini" <<'INI'
+[mypy]
+[mypy-uniground_made.client]
+disable_error_code = arg-type
+[mypy-uniground_made.models.answer]
+disable_error_code = assignment, return-value
+INI
+(cd "$made" && "$OLDPWD/$venv/bin/mypy" --config-file mypy.ini uniground_made)
+
+command -v npm >/dev/null || { echo "left out: the linter and the TypeScript client, there is no npm"; exit 0; }
+npx --yes "@redocly/cli@$redocly" lint openapi/openapi.json --config openapi/redocly.yaml --format=summary
+# The page's types are made of the description; that they are, and compile, is looked at once more here.
+(cd web && npm ci --no-audit --no-fund --silent && npx openapi-typescript ../openapi/openapi.json -o "$made/schema.ts" >/dev/null &&
+    npx tsc --noEmit --strict --target es2022 --typeRoots "$made/types" "$made/schema.ts")
