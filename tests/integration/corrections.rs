@@ -3,6 +3,7 @@
 use crate::archives::Scan;
 use crate::server::{TestServer, ask, problem};
 use serde_json::json;
+use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground::evaluation::annotations::Annotations;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::Status;
@@ -120,7 +121,7 @@ async fn things_that_are_one_become_one() {
     // It outlives the server.
     let again = client.correct(&scene.id, &merge).await.unwrap().made.unwrap();
     let data = server.give_back().await;
-    let server = TestServer::start_on(data, Default::default(), Default::default(), uniground::config::ModelsConfig::builtin()).await;
+    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
     let answer = server.client.ground(&scene.id, &ask("the corner sofa")).await.unwrap();
     assert_eq!(answer.answer.predicted_id, Some(again));
     server.stop().await;
@@ -133,7 +134,10 @@ async fn a_thing_that_is_several_leaves_its_parts() {
     let client = &server.client;
     let before = client.all_instances(&scene.id, Levels::All).await.unwrap();
     let parts_of = |id: InstanceId| before.iter().filter(move |i| i.level == Level::Part && i.things == [id]).collect::<Vec<_>>();
-    let several = before.iter().find(|i| parts_of(i.id).len() >= 2).expect("something in the living room has two parts");
+    let several = before
+        .iter()
+        .find(|i| parts_of(i.id).len() >= 2)
+        .expect("something in the living room has two parts");
     let parts: Vec<InstanceId> = parts_of(several.id).iter().map(|part| part.id).collect();
     let split = client.correct(&scene.id, &Change::Split { instance_id: several.id }).await.unwrap();
     let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();

@@ -20,7 +20,7 @@ async fn an_answer_is_what_it_was() {
             .await
             .unwrap();
         insta::assert_json_snapshot!(name, answer, {
-            ".id" => "[id]", ".scene_id" => "[scene]", ".timings_ms" => "[times]", ".evidence[]" => "[path]",
+            ".id" => "[id]", ".scene_id" => "[scene]", ".timings_ms" => "[times]", ".evidence[]" => "[path]", ".candidates[].view" => "[path]",
         });
     }
     server.stop().await;
@@ -42,7 +42,7 @@ async fn problems_say_what_is_wrong_and_where() {
         ("a value out of its range", Method::POST, ground.clone(), json_type, r#"{"query": "the mug", "top_k": 0}"#),
         ("a question that is none", Method::POST, ground.clone(), json_type, r#"{"query": " "}"#),
         ("another media type", Method::POST, ground, "text/plain", "the mug"),
-        ("an upload of a strange kind", Method::POST, "v1/scenes".to_owned(), "image/png", "x"),
+        ("an upload of a strange kind", Method::POST, "v1/scenes".to_owned(), "video/mp4", "\0\0\0\x18ftypmp42"),
         ("an upload that is no archive", Method::POST, "v1/scenes".to_owned(), "application/zip", "x"),
     ] {
         let request = server

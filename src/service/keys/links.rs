@@ -108,9 +108,8 @@ impl Keyring {
             return Err(Denied::LinkOver);
         }
         let caller = match maker {
-            OWN => Caller::operator(),
             NONE if self.is_wanted() => return Err(Denied::NoKey),
-            NONE => Caller::operator(),
+            OWN | NONE => Caller::operator(),
             id => self.caller_of(Some(id))?,
         };
         Ok(Caller { scope: Scope::Read, ..caller })

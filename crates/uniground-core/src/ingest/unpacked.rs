@@ -132,6 +132,6 @@ pub fn what_it_is(head: &[u8]) -> &'static str {
         [_, _, _, _, b'f', b't', b'y', b'p', ..] => "this is a video: a scan needs its frames as pictures, with depth and poses",
         [b'#', b'R', b'O', b'S', b'B', b'A', b'G', ..] => "this is a ROS bag: export colour, depth and poses from it first",
         [b'S', b'Q', b'L', b'i', b't', b'e', ..] => "this is a database: export RTAB-Map's with `rtabmap-export --images --poses_camera`",
-        _ => "expected a folder, an archive (.zip, .tar, .tar.zst, .r3d), a .sens file, a cloud or a mesh",
+        _ => "this is no scan: expected an archive (.zip, .tar, .tar.zst, .r3d), a .sens file, a cloud or a mesh",
     }
 }

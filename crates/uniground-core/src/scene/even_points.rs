@@ -110,7 +110,7 @@ mod tests {
         for beginning in [64, 300, 1000] {
             let mut squares = [0; 16];
             for (p, ..) in &points[..beginning] {
-                squares[(p.x / 16.0) as usize + 4 * (p.y / 16.0) as usize] += 1;
+                squares[p.x.round() as usize / 16 + p.y.round() as usize / 16 * 4] += 1;
             }
             let even = beginning as f32 / 16.0;
             assert!(squares.iter().all(|&n| (n as f32) > even * 0.6 && (n as f32) < even * 1.5), "{beginning}: {squares:?}");
