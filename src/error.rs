@@ -52,6 +52,8 @@ pub enum Error {
         "no parts of instance {id} are known, so that nothing would take its place: dismiss it, or parse the scene with finer settings"
     )]
     NoParts { id: InstanceId },
+    #[error("instance {id} was made of others: take back the correction that merged them")]
+    WasMerged { id: InstanceId },
     #[error("a parse has at most {most} corrections")]
     TooManyCorrections { most: u32 },
     #[error("there is no batch {id}")]
@@ -251,6 +253,7 @@ impl Error {
             Self::CorrectionNotFound { .. } => "correction_not_found",
             Self::CorrectionInUse { .. } => "correction_in_use",
             Self::NotAThing { .. } => "not_a_thing",
+            Self::WasMerged { .. } => "was_merged",
             Self::NoParts { .. } => "no_parts",
             Self::TooManyCorrections { .. } => "too_many_corrections",
             Self::BatchNotFound { .. } => "batch_not_found",

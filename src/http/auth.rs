@@ -19,15 +19,14 @@ pub(super) const RATE_LIMIT_POLICY: HeaderName = HeaderName::from_static("rateli
 /// Lets a request past whose caller may do what its route does, and writes down what changed something.
 pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> Response {
     let Some(wanted) = app.scopes.wanted_by(&request) else { return next.run(request).await };
-    // A link stands in for a key where there is none.
-    let link = match bearer(request.headers()) {
-        None => take_link(request.uri_mut()),
-        Some(_) => None,
-    };
-    let keys = &app.service.keys;
+    let link = take_link(request.uri_mut());
+    let (keys, shown) = (&app.service.keys, bearer(request.headers()));
+    // A link stands in for a key where none is shown, to read what is there: asking may cost money.
     let caller = match &link {
-        Some(link) => keys.caller_of_link(link, request.uri().path(), Timestamp::now()),
-        None => keys.caller(bearer(request.headers())),
+        Some(link) if shown.is_none() && keys.is_wanted() && request.method().is_safe() => {
+            keys.caller_of_link(link, request.uri().path(), Timestamp::now())
+        }
+        _ => keys.caller(shown),
     };
     let caller = match caller {
         Ok(caller) => caller,
@@ -47,8 +46,9 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
         let detail = format!("this key may {:?}, this needs a key that may {:?}", caller.scope.word(), wanted.word());
         return limited(Refused::new(StatusCode::FORBIDDEN, "scope_missing", detail).into_response(), allowance);
     }
-    // Whatever needs more than reading changes something, or looks at what only admins see.
-    let noting = (wanted > Scope::Read && !request.method().is_safe()).then(|| {
+    // Whatever needs more than reading changes something, or looks at what only admins see. Links are handed to others.
+    let is_noted = wanted > Scope::Read || request.uri().path() == "/v1/links";
+    let noting = (is_noted && !request.method().is_safe()).then(|| {
         let (method, path) = (request.method().to_string(), request.uri().path().to_owned());
         let done = Done { method, path, status: 0, request_id: request_id(request.headers()) };
         app.service.keys.noting(caller.clone(), done)

@@ -5,7 +5,7 @@ use super::problem::Refused;
 use crate::error::Error;
 use axum::body::{Body, to_bytes};
 use axum::extract::Request;
-use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, header};
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use camino::Utf8Path;
@@ -21,11 +21,23 @@ const MOST_BYTES: u64 = 2 << 20;
 
 /// A stored file, whole or the part that `asked` names (`Range`), or nothing where the caller has it (`If-None-Match`).
 pub async fn send_file(path: &Utf8Path, media_type: &'static str, asked: &HeaderMap) -> Result<Response, Refused> {
-    let mut request = Request::new(Body::empty());
-    for name in [header::RANGE, header::IF_RANGE, header::IF_NONE_MATCH, header::IF_MODIFIED_SINCE] {
-        request.headers_mut().extend(asked.get(&name).map(|value| (name, value.clone())));
-    }
-    let Ok(served) = ServeFile::new(path).oneshot(request).await;
+    let serve = async |names: &[HeaderName]| {
+        let mut request = Request::new(Body::empty());
+        for name in names {
+            request.headers_mut().extend(asked.get(name).map(|value| (name.clone(), value.clone())));
+        }
+        let Ok(served) = ServeFile::new(path).oneshot(request).await;
+        served
+    };
+    let is_same = match asked.get(header::IF_RANGE) {
+        Some(mark) => serve(&[]).await.headers().get(header::ETAG) == Some(mark),
+        None => true,
+    };
+    // A part of another file than the caller has the rest of would be of no use.
+    let served = match is_same {
+        true => serve(&[header::RANGE, header::IF_NONE_MATCH, header::IF_MODIFIED_SINCE]).await,
+        false => serve(&[]).await,
+    };
     if served.status() == StatusCode::NOT_FOUND {
         return Err(Error::Io(std::io::ErrorKind::NotFound.into()).into());
     }

@@ -150,6 +150,7 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::BatchOver { .. }
         | Error::CorrectionInUse { .. }
         | Error::NotAThing { .. }
+        | Error::WasMerged { .. }
         | Error::NoParts { .. }
         | Error::TooManyCorrections { .. } => StatusCode::CONFLICT,
         Error::VlmFailed { .. } | Error::Model(_) => StatusCode::BAD_GATEWAY,

@@ -9,11 +9,18 @@ use super::{App, Asking};
 use crate::jobs::Job;
 use crate::service::{NewScene, ParseFile};
 use axum::Extension;
+use axum::body::BodyDataStream;
 use axum::extract::{Request, State};
 use axum::http::{HeaderMap, StatusCode};
 use axum::response::Response;
+use futures::StreamExt;
 use multer::{Field, Multipart, parse_boundary};
 use serde::Deserialize;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+use tokio::time::timeout;
+use uniground_core::models::with_causes;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::{Created, ParseRequest, Rename, Scene, SceneList};
@@ -83,7 +90,7 @@ pub async fn create(
     let body = request.into_body().into_data_stream();
     let (scene, job) = match header("content-type").and_then(|media_type| parse_boundary(media_type).ok()) {
         Some(boundary) => {
-            let (file_name, file) = file_of_form(Multipart::new(body, boundary)).await?;
+            let (file_name, file) = file_of_form(body, boundary).await?;
             app.service.create_scene(NewScene { file_name, ..new }, file, &caller).await?
         }
         None => app.service.create_scene(new, body, &caller).await?,
@@ -91,16 +98,38 @@ pub async fn create(
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
+/// Bytes of a form before its file, and how long they may take.
+const BEFORE_FILE_BYTES: usize = 64 << 10;
+const BEFORE_FILE_TIME: Duration = Duration::from_secs(20);
+
 /// The first file of a form: what it is called, and its bytes.
-async fn file_of_form(mut form: Multipart<'static>) -> Result<(Option<String>, Field<'static>), Refused> {
+async fn file_of_form(body: BodyDataStream, boundary: String) -> Result<(Option<String>, Field<'static>), Refused> {
     const NO_FILE: &str = "this form has no file: curl -F scan=@room.zip sends one";
     let refused = |detail: &str| Refused::new(StatusCode::BAD_REQUEST, "malformed_form", detail);
-    while let Some(field) = form.next_field().await.map_err(|error| refused(&error.to_string()))? {
-        if let Some(file_name) = field.file_name().map(str::to_owned) {
-            return Ok((Some(file_name), field));
+    let is_found = Arc::new(AtomicBool::new(false));
+    let (found, mut before) = (is_found.clone(), 0);
+    let bounded = body.map(move |chunk| {
+        let chunk = chunk.map_err(std::io::Error::other)?;
+        if !found.load(Ordering::Relaxed) && before > BEFORE_FILE_BYTES {
+            return Err(std::io::Error::other(format!("nothing but {BEFORE_FILE_BYTES} bytes of other things before its file")));
         }
-    }
-    Err(refused(NO_FILE))
+        before += chunk.len();
+        Ok(chunk)
+    });
+    let mut form = Multipart::new(bounded, boundary);
+    let first = async {
+        while let Some(field) = form.next_field().await.map_err(|error| refused(&with_causes(&error)))? {
+            if let Some(file_name) = field.file_name().map(str::to_owned) {
+                return Ok((Some(file_name), field));
+            }
+        }
+        Err(refused(NO_FILE))
+    };
+    let first = timeout(BEFORE_FILE_TIME, first)
+        .await
+        .map_err(|_| refused("the file of this form does not begin"))?;
+    is_found.store(true, Ordering::Relaxed);
+    first
 }
 
 /// Makes a scene of the living room this program carries, and parses it: something to ask about at once.

@@ -91,6 +91,10 @@ pub struct Service {
     /// Held while a scene takes a stored parse, or gets a job for another, so that neither the parse nor what the job goes on from is
     /// removed meanwhile. Whoever removes holds both, this one last.
     parse_references: Arc<Mutex<()>>,
+    /// Held while a parse is corrected.
+    correcting: Arc<Mutex<()>>,
+    /// Held while something is drawn or made for who looks at a scene: questions have their own places.
+    drawing: Arc<Mutex<()>>,
     /// Where an inference server runs the networks.
     inference: Option<Arc<Probe>>,
     health: Lately<Health>,
@@ -123,6 +127,8 @@ impl Service {
             asked_batches: Beginnings::default(),
             content_references: Arc::default(),
             parse_references: Arc::default(),
+            correcting: Arc::default(),
+            drawing: Arc::default(),
             inference: None,
             health: Lately::default(),
             numbers: Numbers::default(),

@@ -159,7 +159,7 @@ impl Round<'_> {
                 service.store.remove_due(Aged::SupersededParses, &before, &[&due.id]).await?
             };
             for id in &removed {
-                service.parses.loaded.remove(id);
+                service.parses.forget(id);
                 service.parses.render_scenes.remove(id);
                 gone.bytes += self.discard(vec![service.store.blobs.parse(id)]).await?;
             }

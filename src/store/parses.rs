@@ -73,7 +73,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn insert_parse(&self, parse: NewParse<'_>) -> Result<bool, StoreError> {
-        let NewParse { id, content_hash, settings_hash, settings, models, import, report, extent, instances } = parse;
+        let NewParse { id, content_hash, settings_hash, settings, models, import, report, extent, instances } = &parse;
         let mut tx = self.writer.begin().await?;
         let inserted = sqlx::query(
             "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at,
@@ -96,9 +96,10 @@ impl Store {
             tx.forget().await?;
             return Ok(false);
         }
-        for instance in instances {
+        for instance in *instances {
             insert_instance(&mut tx, id, instance).await?;
         }
+        inherit(&mut tx, &parse, instances.len()).await?;
         tx.commit().await?;
         Ok(true)
     }
@@ -183,6 +184,34 @@ impl Store {
         tx.commit().await?;
         Ok(Some(id))
     }
+}
+
+/// A parse that is made anew because files of the one before were damaged takes over what people and models have said of that one, and what was
+/// found since: the same scan under the same settings has the same instances.
+async fn inherit(tx: &mut SqliteConnection, new: &NewParse<'_>, instances: usize) -> Result<(), StoreError> {
+    let retired = "SELECT id FROM parses WHERE content_hash = ? AND settings_hash LIKE ? || ':retired:%' ORDER BY id DESC LIMIT 1";
+    let retired: Option<String> = sqlx::query_scalar(retired)
+        .bind(new.content_hash)
+        .bind(new.settings_hash)
+        .fetch_optional(&mut *tx)
+        .await?;
+    let Some(retired) = retired else { return Ok(()) };
+    let same = "SELECT count(*) FROM instances AS old JOIN instances AS new USING (id, body) WHERE old.parse_id = ? AND new.parse_id = ?";
+    let same: i64 = sqlx::query_scalar(same).bind(&retired).bind(new.id).fetch_one(&mut *tx).await?;
+    if same != instances as i64 {
+        tracing::warn!(parse_id = new.id, retired, "a parse made anew has other instances: corrections and names stay behind");
+        return Ok(());
+    }
+    for sql in [
+        "INSERT INTO instances (parse_id, id, body, record_version) SELECT ?2, id, body, record_version FROM instances
+         WHERE parse_id = ?1 AND id > (SELECT max(id) FROM instances WHERE parse_id = ?2)",
+        "UPDATE corrections SET parse_id = ?2 WHERE parse_id = ?1",
+        "UPDATE OR IGNORE instance_names SET parse_id = ?2 WHERE parse_id = ?1",
+        "UPDATE OR IGNORE name_indexes SET parse_id = ?2 WHERE parse_id = ?1",
+    ] {
+        sqlx::query(sql).bind(&retired).bind(new.id).execute(&mut *tx).await?;
+    }
+    Ok(())
 }
 
 /// Writes one instance of a parse.

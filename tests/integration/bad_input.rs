@@ -65,6 +65,14 @@ fn refused() -> Vec<Case> {
         ("a photograph", "image/jpeg", vec![0xff, 0xd8, 0xff, 0xe0, 0, 16], 422, "archive_unreadable", "picture"),
         ("a video", ZIP, b"\0\0\0\x18ftypmp42".to_vec(), 422, "archive_unreadable", "video"),
         (
+            "a form that never comes to its file",
+            "multipart/form-data; boundary=x",
+            [b"--x\r\ncontent-disposition: form-data; name=\"a\"\r\nx: ".to_vec(), vec![b'a'; 4 << 20]].concat(),
+            400,
+            "malformed_form",
+            "before its file",
+        ),
+        (
             "a form without a file",
             "multipart/form-data; boundary=x",
             b"--x\r\ncontent-disposition: form-data; name=\"a\"\r\n\r\n1\r\n--x--\r\n".to_vec(),

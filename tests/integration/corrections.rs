@@ -97,6 +97,9 @@ async fn things_that_are_one_become_one() {
     let view = answer.candidates.unwrap().into_iter().find(|c| c.id == made).unwrap().view.unwrap();
     assert!(image::load_from_memory(&client.bytes(&view).await.unwrap()).is_ok(), "it is drawn when it is looked at");
 
+    let refused = problem(client.correct(&scene.id, &Change::Split { instance_id: made }).await);
+    assert_eq!((refused.status, refused.code.as_str()), (409, "was_merged"));
+
     // What it was made of is no thing of its own any more, and what stands on it is not taken away from under it.
     let refused = problem(client.correct(&scene.id, &Change::Merge { instance_ids: vec![sofa, made], name: None }).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "not_a_thing"));
@@ -149,6 +152,8 @@ async fn a_thing_that_is_several_leaves_its_parts() {
     let one = things.iter().find(|i| Some(i.id) == made.made).unwrap();
     let around = Aabb::around(parts_of(several.id)[..2].iter().flat_map(|part| part.raw_box.corners()).collect::<Vec<_>>().iter()).unwrap();
     assert!(one.point_count > 0 && one.raw_box.shared_volume(&around) > 0.99 * one.raw_box.volume(), "{one:?} {around:?}");
+    let refused = problem(client.undo_correction(&scene.id, &split.id).await);
+    assert_eq!(refused.code, "correction_in_use", "the merge is of its parts");
     for correction in [&made, &split] {
         client.undo_correction(&scene.id, &correction.id).await.unwrap();
     }

@@ -10,6 +10,7 @@ use std::process::{Command, Output};
 use uniground::config::{LimitsConfig, ModelsConfig, RetentionConfig, VlmConfig};
 use uniground::service::Service;
 use uniground::store::{JobState, Store};
+use uniground_types::corrections::Change;
 
 fn doctor(data: &Utf8Path, more: &[&str]) -> Output {
     let program = Command::new(env!("CARGO_BIN_EXE_uniground"))
@@ -66,6 +67,11 @@ async fn the_doctor_finds_damage_and_the_next_server_mends_it() {
     let data = Utf8Path::from_path(data.path()).unwrap();
     let server = Process::start(data);
     let scene = parsed(&server.client, "application/zip", Scan::neutral().zip()).await;
+    // What people have said of a parse is said of the one that takes its place.
+    let sofa = server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap().answer.predicted_id.unwrap();
+    let block = server.client.ground(&scene.id, &ask("the blue box")).await.unwrap().answer.predicted_id.unwrap();
+    let merge = Change::Merge { instance_ids: vec![sofa, block], name: Some("corner sofa".into()) };
+    let made = server.client.correct(&scene.id, &merge).await.unwrap().made;
     let refused = doctor(data, &[]);
     assert!(!refused.status.success() && told(&refused).contains("another server"), "{}", told(&refused));
     assert_eq!(server.terminate(), Some(0));
@@ -85,6 +91,8 @@ async fn the_doctor_finds_damage_and_the_next_server_mends_it() {
     assert_eq!(finished(&server.client, &job).await.state, JobState::Succeeded);
     let again = server.client.scene(&scene.id).await.unwrap();
     assert_eq!((again.parse_version, again.counts), (2, scene.counts));
+    let answer = server.client.ground(&scene.id, &ask("the corner sofa")).await.unwrap();
+    assert_eq!((answer.answer.predicted_id, answer.parse_version), (made, 2));
     assert_eq!(server.terminate(), Some(0));
     assert!(doctor(data, &[]).status.success());
 

@@ -106,6 +106,11 @@ async fn a_page_with_a_key_shows_pictures_by_links() {
         .client
         .request(Method::DELETE, &format!("{}?link={}", below.trim_start_matches('/'), links[1].token));
     assert_eq!(wrong.send().await.unwrap().status(), StatusCode::UNAUTHORIZED);
+    let asking = process
+        .client
+        .request(Method::POST, &format!("{}/ground?link={}", below.trim_start_matches('/'), links[1].token));
+    let asked = asking.json(&serde_json::json!({"query": "the sofa"})).send().await.unwrap();
+    assert_eq!(asked.status(), StatusCode::UNAUTHORIZED, "asking may cost money");
     assert_eq!(known.scene(&scene.id).await.unwrap().id, scene.id);
     assert_eq!(process.terminate(), Some(0));
 }
@@ -151,6 +156,12 @@ async fn what_has_not_changed_is_not_sent_again() {
     let points = u32::from_le_bytes(whole[4..8].try_into().unwrap());
     assert_eq!((&whole[..4], u64::from(points)), (&b"UGP1"[..], scene.counts.unwrap().points));
     assert_eq!(whole.len(), 32 + 12 * points as usize);
+    let mark = get("/points.bin", &[]).await.headers()["etag"].to_str().unwrap().to_owned();
+    assert_eq!(
+        get("/points.bin", &[("range", "bytes=0-43"), ("if-range", &mark)]).await.status(),
+        StatusCode::PARTIAL_CONTENT
+    );
+    assert_eq!(get("/points.bin", &[("range", "bytes=0-43"), ("if-range", "\"other\"")]).await.status(), StatusCode::OK);
     let beyond = get("/points.bin", &[("range", "bytes=999999999-")]).await;
     assert_eq!(beyond.status(), StatusCode::RANGE_NOT_SATISFIABLE);
     let head = server

@@ -121,6 +121,19 @@ def test_what_a_scene_consists_of(client: Client, scene: Scene) -> None:
     assert scene.id in [other.id for other in client.scenes()]
 
 
+def test_people_correct_what_was_found(scene: Scene) -> None:
+    mug = scene.ask("the mug on the coffee table").answer.predicted_id
+    assert mug is not None
+    said = scene.correct(kind="rename", instance_id=mug, name="samovar")
+    try:
+        assert scene.instance(mug).given_name == "samovar"
+        assert scene.ask("the samovar").answer.predicted_id == mug
+        assert scene.corrections()[0].id == said.id
+    finally:
+        assert scene.undo(said.id).undone_at is not None
+    assert scene.instance(mug).given_name is None
+
+
 def test_a_list_of_questions_is_asked_in_order_and_only_once(client: Client, scene: Scene) -> None:
     results = scene.ask_all(QUESTIONS, top_k=2, reasoner="builtin")
     assert [result.query for result in results] == QUESTIONS

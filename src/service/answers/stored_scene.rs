@@ -150,7 +150,7 @@ impl SceneSource for StoredScene {
             parse.instances.push(Instance { id, ..found });
             return Ok((Self::new(self.service.clone(), Arc::new(parse)), id));
         };
-        self.service.parses.loaded.remove(&self.parse.id);
+        self.service.parses.forget(&self.parse.id);
         Ok((Self::new(self.service.clone(), self.service.loaded_parse(&self.parse.id).await?), id))
     }
 

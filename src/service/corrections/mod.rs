@@ -32,6 +32,8 @@ impl Service {
     /// that leaves nothing; [`Error::TooManyCorrections`].
     pub async fn correct(&self, scene_id: &str, change: Change, caller: &Caller) -> Result<Correction, Error> {
         check(&change)?;
+        // One after the other: what is checked stays so until it is written.
+        let _turn = self.correcting.lock().await;
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let parse = self.loaded_parse(&parse_id).await?;
         let known = |id: InstanceId| {
@@ -42,7 +44,9 @@ impl Service {
             Change::Rename { instance_id, .. } => known(*instance_id).map(|_| None)?,
             Change::Dismiss { instance_ids } => instance_ids.iter().try_for_each(|id| known(*id).map(drop)).map(|()| None)?,
             Change::Split { instance_id } => {
-                known(*instance_id)?;
+                if !known(*instance_id)?.merged_from.is_empty() {
+                    return Err(Error::WasMerged { id: *instance_id });
+                }
                 if parts_of(&parse.instances, *instance_id).is_empty() {
                     return Err(Error::NoParts { id: *instance_id });
                 }
@@ -64,7 +68,7 @@ impl Service {
         let author = caller.key.as_ref().map(|key| key.row.name.as_str());
         let new = NewCorrection { parse_id: &parse_id, change: &change, author, made };
         let correction = self.store.insert_correction(new, MOST).await?.ok_or(Error::TooManyCorrections { most: MOST })?;
-        self.parses.loaded.remove(&parse_id);
+        self.parses.forget(&parse_id);
         Ok(correction)
     }
 
@@ -84,19 +88,24 @@ impl Service {
     /// # Errors
     /// [`Error::CorrectionNotFound`]; [`Error::CorrectionInUse`] where a later one is about the instance this one has made.
     pub async fn undo_correction(&self, scene_id: &str, id: &str) -> Result<Correction, Error> {
+        let _turn = self.correcting.lock().await;
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let corrections = self.store.corrections(&parse_id).await?;
         let not_found = || Error::CorrectionNotFound { id: id.to_owned() };
         let correction = corrections.iter().find(|correction| correction.id == id).ok_or_else(not_found)?;
+        let brought: Vec<InstanceId> = match &correction.change {
+            Change::Split { instance_id } => parts_of(&self.store.instances(&parse_id).await?, *instance_id),
+            _ => correction.made.into_iter().collect(),
+        };
         let uses_it = |later: &&Correction| match &later.change {
-            Change::Merge { instance_ids, .. } => correction.made.is_some_and(|made| instance_ids.contains(&made)),
+            Change::Merge { instance_ids, .. } => instance_ids.iter().any(|id| brought.contains(id)),
             _ => false,
         };
         if let Some(by) = corrections.iter().filter(|later| later.undone_at.is_none()).find(uses_it) {
             return Err(Error::CorrectionInUse { by: by.id.clone() });
         }
         self.store.undo_correction(id).await?;
-        self.parses.loaded.remove(&parse_id);
+        self.parses.forget(&parse_id);
         self.store
             .corrections(&parse_id)
             .await?
@@ -123,6 +132,9 @@ impl StoredScene {
         };
         let points = of_point.iter().enumerate().filter(|(point, id)| is_meant(*point, **id));
         let points: Vec<u32> = points.map(|(point, _)| point as u32).collect();
+        if points.is_empty() {
+            return Err(Error::NotAThing { id: members[0] });
+        }
         let merged = instances::of_points(&render_scene.cloud, &points, known, &settings.instances);
         let shown: Vec<&Instance> = members.iter().map(|id| &known[id.0 as usize - 1]).collect();
         Ok(Instance { views: views_of_all(&shown, MOST_VIEWS), merged_from: members.to_vec(), ..merged })

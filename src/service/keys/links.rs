@@ -77,17 +77,25 @@ impl Keyring {
             let is_path = path.strip_prefix("/v1/").is_some_and(|below| match below.strip_suffix(ALL) {
                 Some(folder) => folder.contains('/') && !folder.ends_with('/'),
                 None => !below.is_empty(),
-            });
+            }) && !path.trim_end_matches(ALL).contains('*');
             if !is_path || path.len() > LONGEST_PATH || path.contains(['?', '#']) || !path.is_ascii() {
                 let detail = format!("must be a path below /v1/ without a query, at most {LONGEST_PATH} characters");
                 return Err(Error::invalid(format!("/paths/{index}"), detail));
             }
-            let token = format!("{expires}.{maker}.{}", self.link_secret.sign(&path, expires, maker));
+            let token = format!("{expires}.{maker}.{}", self.link_secret.sign(&path, expires, &self.signer(maker)));
             let url = (!path.ends_with(ALL)).then(|| format!("{path}?{PARAMETER}={token}"));
             let expires_at = Timestamp::from_second(expires).unwrap_or(now).to_string();
             Ok(Link { path, token, url, expires_at })
         };
         Ok(LinkList { links: paths.into_iter().enumerate().map(link).collect::<Result<_, _>>()? })
+    }
+
+    /// A maker as it is signed: links of the server's own key go with that key.
+    fn signer(&self, maker: &str) -> String {
+        match &self.own {
+            Some(own) if maker == OWN => format!("{OWN} {own}"),
+            _ => maker.to_owned(),
+        }
     }
 
     /// Who made a link to this path: they may read.
@@ -100,7 +108,8 @@ impl Keyring {
         let expires: i64 = expires.parse().map_err(|_| Denied::BadLink)?;
         // The path itself, or everything below one of the folders it lies in.
         let folders = path.match_indices('/').skip(3).map(|(at, _)| format!("{}{ALL}", &path[..at]));
-        let is_signed = |path: String| equal(&self.link_secret.sign(&path, expires, maker), mac);
+        let signer = self.signer(maker);
+        let is_signed = |path: String| equal(&self.link_secret.sign(&path, expires, &signer), mac);
         if !std::iter::once(path.to_owned()).chain(folders).any(is_signed) {
             return Err(Denied::BadLink);
         }
@@ -109,6 +118,7 @@ impl Keyring {
         }
         let caller = match maker {
             NONE if self.is_wanted() => return Err(Denied::NoKey),
+            OWN if self.own.is_none() => return Err(Denied::BadLink),
             OWN | NONE => Caller::operator(),
             id => self.caller_of(Some(id))?,
         };

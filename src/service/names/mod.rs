@@ -157,7 +157,7 @@ impl Service {
         }
         self.store.complete_name_index(&parse_id, vlm.name(), naming::NAMING_VERSION).await?;
         // Whoever asks from now on is answered with all names.
-        self.parses.loaded.remove(&parse_id);
+        self.parses.forget(&parse_id);
         Ok(format!("{named} of {} objects named by {}", unnamed.len(), vlm.name()))
     }
 

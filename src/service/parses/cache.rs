@@ -3,7 +3,7 @@
 use crate::store::Scratch;
 use camino::Utf8PathBuf;
 use std::collections::BTreeMap;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::NameIndex;
@@ -43,6 +43,8 @@ const FILES: usize = 4096;
 /// What is known of parses without looking at the disk, by their ids.
 pub struct ParseCache {
     pub loaded: Recent<Arc<LoadedParse>>,
+    /// How often something that was loaded has changed since.
+    changes: Mutex<u64>,
     pub render_scenes: Recent<Arc<RenderScene>>,
     /// Files that were found to be what was written, by path: their size and time then.
     pub sound: Recent<(u64, SystemTime)>,
@@ -52,6 +54,34 @@ pub struct ParseCache {
 
 impl Default for ParseCache {
     fn default() -> Self {
-        Self { loaded: Recent::new(PARSES), render_scenes: Recent::new(POINTS), sound: Recent::new(FILES), points: Recent::new(MADE) }
+        Self {
+            loaded: Recent::new(PARSES),
+            changes: Mutex::default(),
+            render_scenes: Recent::new(POINTS),
+            sound: Recent::new(FILES),
+            points: Recent::new(MADE),
+        }
+    }
+}
+
+impl ParseCache {
+    /// To be shown by who keeps what is loaded from now on.
+    pub fn changes(&self) -> u64 {
+        *self.changes.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps what was loaded, unless something has changed since: it may have been read before that.
+    pub fn keep(&self, parse: &Arc<LoadedParse>, changes_before: u64) {
+        let changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
+        if *changes == changes_before {
+            self.loaded.put(parse.id.clone(), parse.clone(), 1);
+        }
+    }
+
+    /// Forgets a parse, of which something has just been written: names, what was found, corrections.
+    pub fn forget(&self, id: &str) {
+        let mut changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
+        *changes += 1;
+        self.loaded.remove(id);
     }
 }

@@ -26,13 +26,15 @@ impl Service {
         if let Some(file) = file {
             return Ok(file);
         }
-        if let Some(made) = self.parses.points.get(&scene.parse.id) {
-            return Ok(made.path().join(POINTS));
-        }
-        let made = scene.compute(StoredScene::even_points).await?;
-        let (id, path) = (scene.parse.id.clone(), made.path().join(POINTS));
-        self.parses.points.put(id, Arc::new(made), 1);
-        Ok(path)
+        let made = self.draw(scene, |service, scene| {
+            if let Some(made) = service.parses.points.get(&scene.parse.id) {
+                return Ok(made);
+            }
+            let made = Arc::new(scene.even_points()?);
+            service.parses.points.put(scene.parse.id.clone(), made.clone(), 1);
+            Ok(made)
+        });
+        Ok(made.await?.path().join(POINTS))
     }
 
     /// The room of a scene's current parse, small.
@@ -44,8 +46,26 @@ impl Service {
         if let Some(file) = file {
             return Ok(EvidenceFile::Stored(file));
         }
-        let draw = |scene: &StoredScene| Ok(report_pictures::thumbnail(&*scene.render_scene()?, &scene.extent()));
-        scene.compute(draw).await.map(EvidenceFile::Drawn)
+        let drawn = self.draw(scene, |_, scene| Ok(report_pictures::thumbnail(&*scene.render_scene()?, &scene.extent())));
+        drawn.await.map(EvidenceFile::Drawn)
+    }
+
+    /// Computes for who looks at a scene, one after the other: questions go before, in places of their own.
+    async fn draw<T: Send + 'static>(
+        &self,
+        scene: Arc<StoredScene>,
+        work: impl FnOnce(&Self, &StoredScene) -> Result<T, Error> + Send + 'static,
+    ) -> Result<T, Error> {
+        let turn = self.drawing.clone().lock_owned().await;
+        let service = self.clone();
+        let done = spawn_blocking(move || {
+            let _turn = turn;
+            work(&service, &scene)
+        });
+        match done.await? {
+            Err(error) => Err(self.after_damage(error).await),
+            done => done,
+        }
     }
 
     /// A file of a scene's current parse; `None` in a parse from before it was kept.
@@ -83,16 +103,14 @@ impl Service {
     pub async fn frame_picture(&self, scene_id: &str, index: u32, with_instances: bool) -> Result<EvidenceFile, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
-        scene
-            .compute(move |scene| {
-                let frames = read_frames(&scene.folder(), &scene.parse.content)?.unwrap_or_default();
-                let frame = frames.into_iter().find(|frame| frame.index.0 == index).ok_or(Error::FrameNotFound { index })?;
-                match with_instances {
-                    true => scene.photograph_with_instances(&frame).map(EvidenceFile::Drawn),
-                    false => Ok(EvidenceFile::Stored(frame.colour)),
-                }
-            })
-            .await
+        let (folder, content) = (scene.folder(), scene.parse.content.clone());
+        let frames = spawn_blocking(move || read_frames(&folder, &content)).await??.unwrap_or_default();
+        let frame = frames.into_iter().find(|frame| frame.index.0 == index).ok_or(Error::FrameNotFound { index })?;
+        if !with_instances {
+            return Ok(EvidenceFile::Stored(frame.colour));
+        }
+        let drawn = self.draw(scene, move |_, scene| scene.photograph_with_instances(&frame));
+        drawn.await.map(EvidenceFile::Drawn)
     }
 }
 

@@ -130,7 +130,7 @@ impl Service {
                 self.jobs.recorded::<ParseJob>(row);
             }
         }
-        self.parses.loaded.remove(parse_id);
+        self.parses.forget(parse_id);
         Ok(())
     }
 
@@ -180,6 +180,7 @@ impl Service {
         if let Some(parse) = self.parses.loaded.get(parse_id) {
             return Ok(parse);
         }
+        let changes = self.parses.changes();
         let gone = || Error::SceneNotFound { id: parse_id.into() };
         let row = self.store.parse(parse_id).await?.ok_or_else(gone)?;
         let ParseRecord { models, extent, .. } = row.record();
@@ -206,7 +207,7 @@ impl Service {
             masks: models.masks,
             encoder: models.encoder,
         });
-        self.parses.loaded.put(parse_id.to_owned(), parse.clone(), 1);
+        self.parses.keep(&parse, changes);
         Ok(parse)
     }
 }

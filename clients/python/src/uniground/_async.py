@@ -339,6 +339,19 @@ class AsyncScene:
     async def instance(self, instance_id: int) -> models.InstanceView:
         return decode(models.InstanceView, await self._client.call("GET", f"/v1/scenes/{self.id}/instances/{instance_id}"))
 
+    async def correct(self, **change: Unpack[models.Change]) -> models.Correction:
+        """Says what is wrong: `kind="rename", instance_id=3, name="red mug"`, or `dismiss`, `merge`, `split`. Answers know it from then on."""
+        return decode(models.Correction, await self._client.call("POST", f"/v1/scenes/{self.id}/corrections", body=change))
+
+    async def corrections(self) -> list[models.Correction]:
+        """What was said of the parse, newest first, what was taken back as well."""
+        told = await self._client.call("GET", f"/v1/scenes/{self.id}/corrections")
+        return decode(models.CorrectionList, told).corrections
+
+    async def undo(self, correction_id: str) -> models.Correction:
+        """Takes a correction back."""
+        return decode(models.Correction, await self._client.call("DELETE", f"/v1/scenes/{self.id}/corrections/{correction_id}"))
+
     async def picture(self, answer: models.Answer) -> bytes:
         """The room with the answer's box, JPEG."""
         return await self._client.download(f"/v1/answers/{answer.id}/evidence/global.jpg")

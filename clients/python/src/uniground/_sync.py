@@ -334,6 +334,19 @@ class Scene:
     def instance(self, instance_id: int) -> models.InstanceView:
         return decode(models.InstanceView, self._client.call("GET", f"/v1/scenes/{self.id}/instances/{instance_id}"))
 
+    def correct(self, **change: Unpack[models.Change]) -> models.Correction:
+        """Says what is wrong: `kind="rename", instance_id=3, name="red mug"`, or `dismiss`, `merge`, `split`. Answers know it from then on."""
+        return decode(models.Correction, self._client.call("POST", f"/v1/scenes/{self.id}/corrections", body=change))
+
+    def corrections(self) -> list[models.Correction]:
+        """What was said of the parse, newest first, what was taken back as well."""
+        told = self._client.call("GET", f"/v1/scenes/{self.id}/corrections")
+        return decode(models.CorrectionList, told).corrections
+
+    def undo(self, correction_id: str) -> models.Correction:
+        """Takes a correction back."""
+        return decode(models.Correction, self._client.call("DELETE", f"/v1/scenes/{self.id}/corrections/{correction_id}"))
+
     def picture(self, answer: models.Answer) -> bytes:
         """The room with the answer's box, JPEG."""
         return self._client.download(f"/v1/answers/{answer.id}/evidence/global.jpg")

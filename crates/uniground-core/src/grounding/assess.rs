@@ -98,7 +98,12 @@ impl<'a> Assessor<'a> {
             let extent = self.scene.extent;
             let heights = (extent.min().z, extent.max().z);
             let outline = OrientedBox::min_area(&corners, heights).map_or_else(|| extent.into(), Solid::from);
-            let walls = self.scene.instances.iter().zip(&self.solids).filter(|(i, _)| i.structure == Some(Structure::Wall));
+            let walls = self
+                .scene
+                .instances
+                .iter()
+                .zip(&self.solids)
+                .filter(|(i, _)| i.structure == Some(Structure::Wall) && !i.dismissed);
             Room::new(outline, walls.map(|(_, solid)| *solid).collect())
         })
     }

@@ -9,7 +9,9 @@ const BESIDE: f32 = 0.1;
 
 /// Of everything in one place only the best fit stays; the others fit nothing, nor does what somebody has dismissed. `fits` are by index.
 pub(super) fn one_per_place(instances: &[Instance], fits: &mut [f32]) {
-    for (fit, _) in fits.iter_mut().zip(instances).filter(|(_, instance)| instance.dismissed) {
+    // Parts and wholes of nothing but junk are junk.
+    let is_junk = |i: &Instance| i.dismissed || !i.things.is_empty() && i.things.iter().all(|thing| instances[index(*thing)].dismissed);
+    for (fit, _) in fits.iter_mut().zip(instances).filter(|(_, instance)| is_junk(instance)) {
         *fit = 0.0;
     }
     let compounds: Vec<usize> = (0..instances.len()).filter(|&i| instances[i].level != Level::Thing).collect();

@@ -30,7 +30,7 @@ pub(super) fn look_up<S: SceneSource>(
     let listed: Vec<InstanceId> = context.shown().collect();
     let Some(found) = source.cut_out(place, &listed)? else { return Ok(None) };
     if let Some(known) = known_as(source.instances(), &found) {
-        let may_be = known.structure.is_none() && !context.is_candidate(known.id.0);
+        let may_be = known.structure.is_none() && !known.dismissed && !context.is_candidate(known.id.0);
         return Ok(may_be.then_some(Found::Known(known.id)));
     }
     let given_name = Some(seen.name.clone()).filter(|name| !name.is_empty());

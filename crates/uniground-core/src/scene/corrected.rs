@@ -17,7 +17,8 @@ pub fn correct(instances: &mut [Instance], corrections: &[Correction]) {
             Change::Rename { instance_id, name } => with(instances, [instance_id], |instance| instance.given_name = Some(name.clone())),
             Change::Dismiss { instance_ids } => with(instances, instance_ids, |instance| instance.dismissed = true),
             Change::Merge { instance_ids, name } => {
-                let Some(made) = *made else { continue };
+                // What was made since the instances were read is not among them yet.
+                let Some(made) = made.filter(|made| made.0 as usize <= instances.len()) else { continue };
                 with(instances, [&made], |instance| instance.given_name = name.clone().or(instance.given_name.take()));
                 belong_to(instances, instance_ids, &[made]);
                 with(instances, instance_ids, |instance| {

@@ -66,10 +66,7 @@ const VIEWS: usize = 3;
 #[must_use]
 pub fn known_as<'a>(known: &'a [Instance], found: &Instance) -> Option<&'a Instance> {
     let overlap = |i: &Instance| i.aabb.iou(&found.aabb);
-    let best = known
-        .iter()
-        .filter(|i| !i.dismissed)
-        .max_by(|a, b| overlap(a).total_cmp(&overlap(b)).then(b.id.cmp(&a.id)));
+    let best = known.iter().max_by(|a, b| overlap(a).total_cmp(&overlap(b)).then(b.id.cmp(&a.id)));
     best.filter(|i| overlap(i) >= SAME_THING)
 }
 
@@ -83,7 +80,7 @@ impl Pointing<'_> {
         let Some(first) = self.frames.iter().find(|frame| frame.index == place.frame) else { return Ok(None) };
         let visibility = Visibility::new(self.cloud, &vec![0; self.cloud.len()], self.settings.depth_tolerance);
         let first = self.look(first, &visibility)?;
-        let is_other = |i: &Instance| i.structure.is_some() || is_not.contains(&i.id);
+        let is_other = |i: &Instance| i.structure.is_some() || i.dismissed || is_not.contains(&i.id);
         let mut options = Vec::new();
         for (mask, quality) in self.masks_at(&first, place.at)? {
             let seed = first.under(&mask);
@@ -95,8 +92,7 @@ impl Pointing<'_> {
                 options.push(Meant { mask, quality, seed });
             }
         }
-        let may_be = |i: &&Instance| !is_other(i) && !i.dismissed;
-        if let Some(shown) = self.shown(&first, &options, known.iter().filter(may_be)) {
+        if let Some(shown) = self.shown(&first, &options, known.iter().filter(|i| !is_other(i))) {
             return Ok(Some(shown.clone()));
         }
         let Some(least) = options.iter().map(|option| &option.seed).min_by_key(|seed| seed.len()) else { return Ok(None) };
