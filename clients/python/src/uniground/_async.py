@@ -340,7 +340,7 @@ class AsyncScene:
         return decode(models.InstanceView, await self._client.call("GET", f"/v1/scenes/{self.id}/instances/{instance_id}"))
 
     async def correct(self, **change: Unpack[models.Change]) -> models.Correction:
-        """Says what is wrong: `kind="rename", instance_id=3, name="red mug"`, or `dismiss`, `merge`, `split`. Answers know it from then on."""
+        """Says what is wrong (`kind="rename", instance_id=3, name="red mug"`; `dismiss`, `merge`, `split`): answers know it from now on."""
         return decode(models.Correction, await self._client.call("POST", f"/v1/scenes/{self.id}/corrections", body=change))
 
     async def corrections(self) -> list[models.Correction]:
