@@ -74,10 +74,11 @@ impl Keyring {
         };
         let link = |(index, path): (usize, String)| {
             // One resource, or all of one.
-            let is_path = path.strip_prefix("/v1/").is_some_and(|below| match below.strip_suffix(ALL) {
-                Some(folder) => folder.contains('/') && !folder.ends_with('/'),
-                None => !below.is_empty(),
-            }) && !path.trim_end_matches(ALL).contains('*');
+            let is_path = path.strip_prefix("/v1/").is_some_and(|below| {
+                let (folder, is_all) = below.strip_suffix(ALL).map_or((below, false), |folder| (folder, true));
+                let is_one = folder.contains('/') && !folder.ends_with('/');
+                !folder.is_empty() && !folder.contains('*') && (is_one || !is_all)
+            });
             if !is_path || path.len() > LONGEST_PATH || path.contains(['?', '#']) || !path.is_ascii() {
                 let detail = format!("must be a path below /v1/ without a query, at most {LONGEST_PATH} characters");
                 return Err(Error::invalid(format!("/paths/{index}"), detail));
