@@ -7,7 +7,7 @@ told in two numbers: calls whose reply was not whole yet, and calls whose whole 
 on the disk. The second can not be avoided by anybody who has no transaction with the model; it can only be as large as what is asked at once.
 
 Answers are compared with those of the undisturbed run whole, but for these fields: `id` and `scene_id` (drawn anew in every folder), `evidence`
-(paths with that id), `timings_ms`, and `latency_ms` of the calls in `trace`.
+and the `view` of candidates and alternatives (paths with these ids), `timings_ms`, and `latency_ms` of the calls in `trace`.
 """
 import collections
 import json
@@ -26,6 +26,8 @@ def comparable(line):
     answer = result.get("answer") or {}
     for field in ("id", "scene_id", "evidence", "timings_ms"):
         answer.pop(field, None)
+    for thing in (answer.get("candidates") or []) + (answer.get("alternatives") or []):
+        thing.pop("view", None)
     for call in (answer.get("trace") or {}).get("calls", []):
         call.pop("latency_ms", None)
     return {"item": result["item"], "status": result["status"], "query": result["query"], "error": result.get("error"), "answer": answer}
