@@ -3,7 +3,7 @@
 import { useEffect, useRef, useState } from "preact/hooks";
 import { asProblem, wasAborted } from "../api/client";
 import { sendSample } from "../api/service";
-import { ACCEPTED, mediaTypeOf, type Sent, uploadScan } from "../api/upload";
+import { type Sent, uploadScan } from "../api/upload";
 import type { Created, Job, Problem } from "../api/types";
 import { address } from "../route";
 import { t } from "../text";
@@ -26,10 +26,9 @@ export function useUpload(onCreated: () => void) {
   const [step, setStep] = useState<Step>({ at: "idle" });
 
   const refuse = (detail: string) =>
-    setStep({ at: "failed", problem: { type: "about:blank", title: t.upload.title, status: 0, detail, code: "unsupported_media_type" } });
+    setStep({ at: "failed", problem: { type: "about:blank", title: t.upload.title, status: 0, detail, code: "archive_unreadable" } });
 
   const take = async (file: File) => {
-    if (!mediaTypeOf(file.name)) return refuse(t.upload.wrongKind(file.name));
     const stop = new AbortController();
     const sending: Step = { at: "sending", file, sent: null, started: Date.now(), stop };
     setStep(sending);
@@ -147,7 +146,6 @@ export function UploadPanel({ upload }: { upload: Upload }) {
         type="file"
         class="offscreen"
         tabIndex={-1}
-        accept={ACCEPTED}
         aria-label={t.upload.title}
         onChange={(event) => {
           const file = event.currentTarget.files?.[0];
