@@ -6,6 +6,7 @@ mod colmap;
 mod color_depth_pose;
 mod files;
 mod intrinsics;
+mod listed;
 mod lone_cloud;
 mod nerfstudio;
 mod neutral;

@@ -3,7 +3,7 @@
 
 use super::files::{Folder, inside};
 use super::numbers::matrix;
-use super::{check_frames, entry, incomplete};
+use super::{entry, incomplete};
 use crate::ingest::IngestError;
 use crate::ingest::bounded::read_text;
 use crate::ingest::scan::{CameraAxes, RawFrame, Scan, picture_size};
@@ -24,7 +24,7 @@ struct Transforms {
     /// Metres per unit of depth (instant-ngp).
     integer_depth_scale: Option<f32>,
     ply_file_path: Option<Utf8PathBuf>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "super::listed::frames")]
     frames: Vec<Frame>,
 }
 
@@ -109,7 +109,6 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let root = &folder.root;
     let text = read_text(root, Utf8Path::new(FILE), MAX_BYTES)?;
     let transforms: Transforms = serde_json::from_str(&text).map_err(|e| IngestError::malformed(FILE, e))?;
-    check_frames(FILE, transforms.frames.len())?;
     let fisheye = transforms
         .camera_model
         .as_deref()

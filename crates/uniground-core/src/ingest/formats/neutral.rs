@@ -1,6 +1,5 @@
 //! The neutral layout: `scene.json` names every file and convention (`uniground-scene/1`).
 
-use super::check_frames;
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::{Folder, inside};
 use super::numbers::read_pose;
@@ -43,7 +42,7 @@ struct Manifest {
     depth_to_color: Option<Vec<f64>>,
     /// Layout that this one was converted from.
     source: Option<String>,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "super::listed::frames")]
     frames: Vec<ManifestFrame>,
 }
 
@@ -86,7 +85,6 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     if !(depth_scale_m.is_finite() && depth_scale_m > 0.0) {
         return Err(IngestError::malformed(file, format!("depth_scale_m is {depth_scale_m}, it must be positive")));
     }
-    check_frames(FILE, manifest.frames.len())?;
     let mut scan = Scan::new(root, if manifest.source.as_deref() == Some(SENS) { SENS } else { FORMAT });
     let depth_to_colour = manifest.depth_to_color.as_deref().map(depth_to_colour).transpose()?;
     for (i, frame) in manifest.frames.iter().enumerate() {

@@ -4,7 +4,7 @@
 use super::color_depth_pose::LEAST_CONFIDENCE;
 use super::files::Folder;
 use super::numbers::pose_of;
-use super::{check_frames, entry, incomplete};
+use super::{entry, incomplete};
 use crate::ingest::IngestError;
 use crate::ingest::bounded::read_text;
 use crate::ingest::scan::{CameraAxes, RawFrame, Scan};
@@ -28,9 +28,10 @@ struct Metadata {
     #[serde(rename = "K")]
     k: Vec<f32>,
     /// Quaternion x y z w, then the position.
+    #[serde(deserialize_with = "super::listed::frames")]
     poses: Vec<[f64; 7]>,
     /// `fx fy cx cy` of each frame, where the lens moves.
-    #[serde(rename = "perFrameIntrinsicCoeffs", default)]
+    #[serde(rename = "perFrameIntrinsicCoeffs", default, deserialize_with = "super::listed::frames")]
     each: Vec<Vec<f32>>,
 }
 
@@ -45,7 +46,6 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     }
     let metadata: Metadata =
         serde_json::from_str(&read_text(&folder.root, file, MAX_BYTES)?).map_err(|e| IngestError::malformed(file, e))?;
-    check_frames(FILE, metadata.poses.len())?;
     let [fx, _, _, _, fy, _, cx, cy, _] = metadata.k[..] else {
         return Err(IngestError::malformed(file, format!("K has {} numbers, 9 are expected", metadata.k.len())));
     };
