@@ -2,6 +2,8 @@
 //!
 //! Every annotated object that no instance of any level covers (box IoU under .25) is pointed at in the middle of the photograph that shows
 //! most of it, and what is cut out there is held against its annotated box: by the built-in masks, and by the segmenters among the models.
+//! Where an encoder is among them: whether the two photographs that a model is offered for the object's name show it, beside two taken by
+//! chance.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
 
@@ -14,12 +16,12 @@ use uniground::evaluation::annotations::Annotations;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::models::neural::Segmenter;
 use uniground_core::progress::Progress;
-use uniground_core::scene::Instance;
+use uniground_core::scene::{FrameIndex, Instance};
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
 use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
 use uniground_core::scene_parsing::pointed::{Place, Pointing, known_as};
-use uniground_core::scene_parsing::{self, ParsingSettings, Perception};
+use uniground_core::scene_parsing::{self, ParsingSettings, Perception, frame_appearance};
 
 /// Objects with fewer points are left out, as in the bench of stage 1.
 const MIN_POINTS: u32 = 200;
@@ -33,6 +35,7 @@ fn main() {
         match arg.as_str() {
             "--models" => {
                 models.masks = AUTO.into();
+                models.encoder = AUTO.into();
                 models.bundles.models = args.next().unwrap().into();
             }
             other => folder = other.into(),
@@ -42,7 +45,7 @@ fn main() {
     let mut table = Table::new();
     table.load_preset(presets::ASCII_MARKDOWN);
     table.set_header(["room", "missed", "best instance", "built-in masks", "segmenter", "an instance already", "seconds"]);
-    let (mut missed, mut found) = (0, [0, 0]);
+    let (mut missed, mut found, mut offered) = (0, [0, 0], Offered::default());
     for name in rooms(&folder) {
         let scratch = tempfile::tempdir().unwrap();
         let room = AnnotatedRoom::load(&folder, &name, Utf8Path::from_path(scratch.path()).unwrap()).unwrap();
@@ -53,8 +56,18 @@ fn main() {
         let covered = |aabb: &Aabb| parsed.instances.iter().map(|i| i.aabb.iou(aabb)).fold(0.0, f32::max);
         let objects: Vec<_> = room.objects(MIN_POINTS).into_iter().filter(|o| covered(&o.aabb) < COVERED).collect();
         let ids: Vec<u32> = objects.iter().map(|o| o.id).collect();
-        for (object, place) in objects.iter().zip(places(&room, &room.masks(), &ids)) {
-            let Some(place) = place else { continue };
+        let shown = Shown::of(&room, &room.masks(), &ids);
+        if let Some(encoder) = &loaded.encoder {
+            let seen = frame_appearance::look(&room.bundle.frames, encoder, &settings.appearance, &Progress::silent())
+                .unwrap()
+                .unwrap();
+            for (object, at) in objects.iter().zip(0..).filter(|(_, at)| shown.best[*at].is_some()) {
+                let vector = encoder.embed_name(&object.name).unwrap().vector.unwrap();
+                offered.count(&room, &shown, at, object.id, &seen.nearest(&vector, 2));
+            }
+        }
+        for (object, place) in objects.iter().zip(&shown.best) {
+            let Some(place) = *place else { continue };
             missed += 1;
             let start = Instant::now();
             let find = |segmenter: Option<&Segmenter>| {
@@ -83,25 +96,79 @@ fn main() {
         "{table}\n\nof {missed} missed: {} by the built-in masks, {} by a segmenter, at IoU {COVERED}",
         found[0], found[1]
     );
+    if loaded.encoder.is_some() {
+        println!("{offered}");
+    }
 }
 
-/// For each object the middle of it in the photograph that shows most of it.
-fn places(room: &AnnotatedRoom, masks: &AnnotatedMasks, ids: &[u32]) -> Vec<Option<Place>> {
-    /// Frames that are looked into, spread over all: looking pixels up in the annotations takes its time.
-    const FRAMES: usize = 15;
-    let mut best: Vec<(usize, Option<Place>)> = vec![(0, None); ids.len()];
-    for frame in room.bundle.frames.iter().step_by(room.bundle.frames.len().div_ceil(FRAMES)) {
-        let decoded = frame.decode().unwrap();
-        let image = masks.masks(&decoded, &Progress::silent()).unwrap().remove(0);
-        for (id, best) in ids.iter().zip(&mut best) {
-            let pixels = image.ids.iter().filter(|of| u32::from(**of) == *id).count();
-            if pixels > best.0 {
-                let (u, v) = innermost(&image, *id as u16);
-                *best = (pixels, Some(Place { frame: frame.index, at: decoded.colour_position(u as f32, v as f32) }));
+/// Where objects are in photographs.
+struct Shown {
+    /// For each object the middle of it in the photograph that shows most of it.
+    best: Vec<Option<Place>>,
+    /// For each object the share of photographs that show it.
+    share: Vec<f64>,
+}
+
+/// Pixels of a depth picture that an object must have to be seen there.
+const SEEN_PX: usize = 100;
+
+impl Shown {
+    fn of(room: &AnnotatedRoom, masks: &AnnotatedMasks, ids: &[u32]) -> Self {
+        /// Frames that are looked into, spread over all: looking pixels up in the annotations takes its time.
+        const FRAMES: usize = 15;
+        let mut best: Vec<(usize, Option<Place>)> = vec![(0, None); ids.len()];
+        let (mut showing, mut looked) = (vec![0_u32; ids.len()], 0_u32);
+        for frame in room.bundle.frames.iter().step_by(room.bundle.frames.len().div_ceil(FRAMES)) {
+            let decoded = frame.decode().unwrap();
+            let image = masks.masks(&decoded, &Progress::silent()).unwrap().remove(0);
+            looked += 1;
+            for ((id, best), showing) in ids.iter().zip(&mut best).zip(&mut showing) {
+                let pixels = pixels_of(&image, *id);
+                *showing += u32::from(pixels >= SEEN_PX);
+                if pixels > best.0 {
+                    let (u, v) = innermost(&image, *id as u16);
+                    *best = (pixels, Some(Place { frame: frame.index, at: decoded.colour_position(u as f32, v as f32) }));
+                }
             }
         }
+        let share = showing.into_iter().map(|showing| f64::from(showing) / f64::from(looked.max(1))).collect();
+        Self { best: best.into_iter().map(|(_, place)| place).collect(), share }
     }
-    best.into_iter().map(|(_, place)| place).collect()
+}
+
+fn pixels_of(image: &IdImage, id: u32) -> usize {
+    image.ids.iter().filter(|of| u32::from(**of) == id).count()
+}
+
+/// How often photographs that are offered show what is asked for.
+#[derive(Default)]
+struct Offered {
+    asked: u32,
+    shown: u32,
+    by_chance: f64,
+}
+
+impl Offered {
+    fn count(&mut self, room: &AnnotatedRoom, shown: &Shown, at: usize, id: u32, offered: &[FrameIndex]) {
+        let shows = |index: &FrameIndex| {
+            let frame = room.bundle.frames.iter().find(|frame| frame.index == *index).unwrap();
+            let image = room.masks().masks(&frame.decode().unwrap(), &Progress::silent()).unwrap().remove(0);
+            pixels_of(&image, id) >= SEEN_PX
+        };
+        self.asked += 1;
+        self.shown += u32::from(offered.iter().any(shows));
+        self.by_chance += 1.0 - (1.0 - shown.share[at]).powi(2);
+    }
+}
+
+impl std::fmt::Display for Offered {
+    fn fmt(&self, out: &mut std::fmt::Formatter) -> std::fmt::Result {
+        let Self { asked, shown, by_chance } = self;
+        write!(
+            out,
+            "of {asked} missed that a photograph shows, {shown} are in the two photographs offered for their names; by chance {by_chance:.1}"
+        )
+    }
 }
 
 /// The pixel of a mask that is farthest from its rim: what is left when it is peeled as often as it can be.

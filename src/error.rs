@@ -34,6 +34,10 @@ pub enum Error {
     ReportPictureNotFound { name: String },
     #[error("scene {scene_id} was parsed without an encoder and has no embeddings")]
     NoEmbeddings { scene_id: String },
+    #[error("scene {scene_id} has no scene_to_map: say where it lies in the map, PATCH /v1/scenes/{scene_id}")]
+    NoMap { scene_id: String },
+    #[error("scene {scene_id} was parsed before its files' own coordinates were kept: parse it again")]
+    NoSourceFrame { scene_id: String },
     #[error("there is no answer {id}")]
     AnswerNotFound { id: String },
     #[error("there is no key {id}")]
@@ -247,6 +251,8 @@ impl Error {
             Self::ViewNotFound { .. } => "view_not_found",
             Self::ReportPictureNotFound { .. } => "report_picture_not_found",
             Self::NoEmbeddings { .. } => "no_embeddings",
+            Self::NoMap { .. } => "no_map",
+            Self::NoSourceFrame { .. } => "no_source_frame",
             Self::AnswerNotFound { .. } => "answer_not_found",
             Self::NoScan { .. } => "archive_unreadable",
             Self::FrameNotFound { .. } => "frame_not_found",

@@ -10,11 +10,11 @@ use serde_json::{Value, json};
 use std::time::Duration;
 use uniground_core::render::jpeg;
 
-/// What a question with five candidates takes, by the counts of models that take a token for 28 x 28 pixels: a render, seven collages, the
-/// text, and a reply.
+/// What a question with five candidates takes, by the counts of models that take a token for 28 x 28 pixels: a render, seven collages,
+/// two photographs, the text, and a reply.
 const TOKENS_OF_A_QUESTION: u64 = 10_000;
-/// A render, and collages of five candidates and two anchors.
-const PICTURES_OF_A_QUESTION: usize = 8;
+/// A render, collages of five candidates and two anchors, and two photographs.
+const PICTURES_OF_A_QUESTION: usize = 10;
 /// Longest a look takes.
 const LONGEST_LOOK: Duration = Duration::from_secs(20);
 

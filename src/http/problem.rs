@@ -145,6 +145,8 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::NoTranscript { .. }
         | Error::AnswerPictureNotFound { .. } => StatusCode::NOT_FOUND,
         Error::VlmNotConfigured
+        | Error::NoMap { .. }
+        | Error::NoSourceFrame { .. }
         | Error::SceneNotReady { .. }
         | Error::EncoderChanged { .. }
         | Error::BatchOver { .. }

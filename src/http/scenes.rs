@@ -23,7 +23,7 @@ use tokio::time::timeout;
 use uniground_core::models::with_causes;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::problem::Problem;
-use uniground_types::scenes::{Created, ParseRequest, Rename, Scene, SceneList};
+use uniground_types::scenes::{Created, ParseRequest, Scene, SceneChange, SceneList};
 use uniground_types::settings::{ParsePreset, ParseSettings};
 use utoipa::IntoParams;
 
@@ -179,9 +179,9 @@ pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result
     Ok(axum::Json(app.service.scene(&scene_id).await?))
 }
 
-/// Renames a scene.
+/// Renames a scene, and says where it lies in a map.
 #[utoipa::path(
-    patch, path = "/v1/scenes/{scene_id}", operation_id = "rename_scene", tag = "scenes", params(("scene_id" = String, Path)), request_body = Rename,
+    patch, path = "/v1/scenes/{scene_id}", operation_id = "change_scene", tag = "scenes", params(("scene_id" = String, Path)), request_body = SceneChange,
     responses(
         (status = 200, body = Scene),
         (status = 400, body = Problem, content_type = "application/problem+json"),
@@ -195,12 +195,12 @@ pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result
     ),
     security(("key" = ["write"]), ())
 )]
-pub async fn rename(
+pub async fn change(
     State(app): State<App>,
     Path(scene_id): Path<String>,
-    Json(Rename { name }): Json<Rename>,
+    Json(change): Json<SceneChange>,
 ) -> Result<axum::Json<Scene>, Refused> {
-    Ok(axum::Json(app.service.rename_scene(&scene_id, &name).await?))
+    Ok(axum::Json(app.service.change_scene(&scene_id, change).await?))
 }
 
 /// Deletes a scene with its answers.

@@ -37,7 +37,7 @@ pub use keys::KeyRow;
 pub use parses::{NewParse, ParseRow};
 pub use records::ParseRecord;
 pub use retention::{Aged, Before, Due};
-pub use scenes::{Inserted, NewSceneRow, SceneRow};
+pub use scenes::{Inserted, NewSceneRow, SceneRow, SceneRowChange};
 pub use sweep::{KEEP_QUARANTINE_DAYS, Strays};
 
 use answers::AnswerQueue;

@@ -49,7 +49,7 @@ fn value(text: &str) -> Value {
     serde_json::from_str(text).unwrap_or(Value::Null)
 }
 
-fn read_or_none<T: DeserializeOwned>(what: &str, text: &str) -> Option<T> {
+pub(super) fn read_or_none<T: DeserializeOwned>(what: &str, text: &str) -> Option<T> {
     serde_json::from_str(text)
         .inspect_err(|error| tracing::warn!(what, %error, "a stored record of another version is left out"))
         .ok()

@@ -1,13 +1,15 @@
 //! Scenes.
 
+use super::records::read_or_none;
 use super::writer::Transaction;
 use super::{JobRow, NewJob, Store, StoreError, now};
 use camino::Utf8PathBuf;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{FromRow, Row, SqliteConnection};
+use uniground_types::placement::SceneToMap;
 
 /// A scene as stored.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct SceneRow {
     pub id: String,
     pub name: String,
@@ -15,8 +17,18 @@ pub struct SceneRow {
     pub parse_id: Option<String>,
     pub parse_version: i64,
     pub job_id: Option<String>,
+    /// `None` too where it is of a version that can not be read.
+    pub scene_to_map: Option<SceneToMap>,
+    pub map_frame_id: Option<String>,
     pub created_at: String,
     pub updated_at: String,
+}
+
+/// What is to be different about a scene; `None` stays, and within it `None` takes away.
+pub struct SceneRowChange<'a> {
+    pub name: Option<&'a str>,
+    pub scene_to_map: Option<Option<SceneToMap>>,
+    pub map_frame_id: Option<Option<&'a str>>,
 }
 
 impl FromRow<'_, SqliteRow> for SceneRow {
@@ -28,6 +40,10 @@ impl FromRow<'_, SqliteRow> for SceneRow {
             parse_id: row.try_get("parse_id")?,
             parse_version: row.try_get("parse_version")?,
             job_id: row.try_get("job_id")?,
+            scene_to_map: row
+                .try_get::<Option<String>, _>("scene_to_map")?
+                .and_then(|text| read_or_none("place in a map", &text)),
+            map_frame_id: row.try_get("map_frame_id")?,
             created_at: row.try_get("created_at")?,
             updated_at: row.try_get("updated_at")?,
         })
@@ -152,9 +168,20 @@ impl Store {
 
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn rename_scene(&self, id: &str, name: &str) -> Result<Option<SceneRow>, StoreError> {
-        let sql = "UPDATE scenes SET name = ?, updated_at = ? WHERE id = ? RETURNING *";
-        Ok(sqlx::query_as(sql).bind(name).bind(now()).bind(id).fetch_optional(self.writer.pool()).await?)
+    pub async fn change_scene(&self, id: &str, change: SceneRowChange<'_>) -> Result<Option<SceneRow>, StoreError> {
+        let SceneRowChange { name, scene_to_map, map_frame_id } = change;
+        let sql = "UPDATE scenes SET name = coalesce(?1, name), scene_to_map = CASE WHEN ?2 THEN ?3 ELSE scene_to_map END,
+                   map_frame_id = CASE WHEN ?4 THEN ?5 ELSE map_frame_id END, updated_at = ?6 WHERE id = ?7 RETURNING *";
+        let place = scene_to_map.flatten().map(|place| serde_json::to_string(&place)).transpose()?;
+        let query = sqlx::query_as(sql)
+            .bind(name)
+            .bind(scene_to_map.is_some())
+            .bind(place)
+            .bind(map_frame_id.is_some())
+            .bind(map_frame_id.flatten())
+            .bind(now())
+            .bind(id);
+        Ok(query.fetch_optional(self.writer.pool()).await?)
     }
 
     /// Makes a finished parse the scene's own, a new version; unless a later job than `job_id` was asked for meanwhile.

@@ -41,6 +41,7 @@ const PACKAGES: [(&str, Floors); 3] = [
         &[
             &["scenes", "instances", "service", "stats", "transcript", "batch", "keys"],
             &["answer", "corrections", "links", "question", "settings", "job", "models"],
+            &["placement"],
             &["scene", "problem"],
             &["geometry"],
         ],

@@ -25,6 +25,7 @@ mod model_choice;
 mod neural;
 mod openapi;
 mod pages;
+mod placement;
 mod real_models;
 mod requests;
 mod restart;

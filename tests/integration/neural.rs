@@ -36,7 +36,8 @@ fn bundles() -> BundlesConfig {
     BundlesConfig { models: root().join("crates/uniground-core/tests/data"), runtime, ..BundlesConfig::default() }
 }
 
-fn tiny() -> ModelsConfig {
+/// A segmenter and an encoder with random weights.
+pub fn tiny() -> ModelsConfig {
     ModelsConfig { masks: "tiny-segmenter".into(), encoder: "tiny-dual-encoder".into(), bundles: bundles() }
 }
 

@@ -30,7 +30,7 @@ use uniground_types::keys::{AuditList, CreatedKey, Key, KeyList, NewKey};
 use uniground_types::links::{LinkList, LinkRequest};
 use uniground_types::problem::{FieldError, Problem};
 use uniground_types::question::{GroundRequest, ShortlistRequest};
-use uniground_types::scenes::{Created, Scene, SceneList, SceneReport};
+use uniground_types::scenes::{Created, Scene, SceneChange, SceneList, SceneReport};
 use uniground_types::service::ModelList;
 use uniground_types::stats::Stats;
 use uniground_types::transcript::{AnswerPrompt, AnswerReply};
@@ -134,7 +134,15 @@ impl Client {
     /// # Errors
     /// [`ClientError`].
     pub async fn rename_scene(&self, id: &str, name: &str) -> Result<Scene, ClientError> {
-        json(self.request(Method::PATCH, &format!("v1/scenes/{id}")).json(&serde_json::json!({"name": name}))).await
+        self.change_scene(id, &SceneChange { name: Some(name.to_owned()), ..SceneChange::default() }).await
+    }
+
+    /// Renames a scene, or says where it lies in a map.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn change_scene(&self, id: &str, change: &SceneChange) -> Result<Scene, ClientError> {
+        json(self.request(Method::PATCH, &format!("v1/scenes/{id}")).json(change)).await
     }
 
     /// # Errors

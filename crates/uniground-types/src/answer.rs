@@ -1,6 +1,7 @@
 //! Answers: the six fields of the paper, boxes, status, and what led there.
 
 use crate::geometry::boxes::{Aabb, OrientedBox};
+use crate::placement::InFrame;
 use crate::scene::InstanceId;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -308,8 +309,11 @@ pub struct Answer {
     pub stored: bool,
     /// Convention for left, right, front and back: `paper`, `viewer` or `observer`. "Facing the door" in the question comes before it.
     pub direction_convention: String,
-    /// The frame of all boxes here.
+    /// The frame of all boxes here, but for those of `in_frame`.
     pub frame: CoordinateFrame,
+    /// The boxes of `targets` in the coordinates the question asked for; absent where it asked for the scene's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub in_frame: Option<InFrame>,
     /// Paths of the pictures that go with the answer.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub evidence: Option<Vec<String>>,

@@ -15,6 +15,7 @@ pub mod job;
 pub mod keys;
 pub mod links;
 pub mod models;
+pub mod placement;
 pub mod problem;
 pub mod question;
 pub mod scene;

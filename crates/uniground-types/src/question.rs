@@ -1,5 +1,6 @@
 //! What may be asked, and how.
 
+pub use crate::placement::{FrameChoice, Observer};
 use crate::problem::FieldError;
 use serde::{Deserialize, Serialize};
 
@@ -176,17 +177,6 @@ impl DirectionConvention {
     }
 }
 
-/// Somebody who stands in the room.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
-#[serde(deny_unknown_fields)]
-pub struct Observer {
-    /// Metres, world frame (Z up).
-    pub position: [f32; 3],
-    /// Direction of view about +Z, radians; 0 looks along +X.
-    pub yaw_rad: f32,
-}
-
 /// A question about a scene.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -223,8 +213,12 @@ pub struct GroundRequest {
     /// What left, right, front and back mean; an `observer` comes before it.
     #[serde(default)]
     pub direction_convention: DirectionConvention,
-    /// Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me".
+    /// Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me". In the coordinates that
+    /// `frame` names.
     pub observer: Option<Observer>,
+    /// Whose coordinates `observer` is in, and boxes are told in beside the scene's own: `in_frame` of the answer.
+    #[serde(default)]
+    pub frame: FrameChoice,
     /// Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`.
     #[serde(default)]
     pub allow_builtin: bool,
@@ -309,6 +303,7 @@ impl GroundRequest {
             evidence: EvidenceMode::default(),
             direction_convention: DirectionConvention::default(),
             observer: None,
+            frame: FrameChoice::default(),
             allow_builtin: false,
             min_confidence: None,
             include: None,

@@ -2,9 +2,10 @@
 
 use crate::geometry::boxes::Aabb;
 use crate::job::{Job, JobError};
+use crate::placement::SceneToMap;
 use crate::scene::{ImportReport, ParseReport};
 use crate::settings::{ParseModels, ParsePreset, ParseSettings};
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// How far a scene has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -53,6 +54,12 @@ pub struct Scene {
     pub counts: Option<SceneCounts>,
     /// Box of all points, world frame (Z up), metres.
     pub extent: Option<Aabb>,
+    /// Where the scene lies in somebody's map; `null` where nobody has said.
+    #[serde(default)]
+    pub scene_to_map: Option<SceneToMap>,
+    /// What that map's frame is called; `null` where nobody has said.
+    #[serde(default)]
+    pub map_frame_id: Option<String>,
     /// What the importer found.
     pub import: Option<ImportReport>,
     /// What stage 1 did; `null` in lists.
@@ -67,7 +74,7 @@ pub struct Scene {
     pub error: Option<JobError>,
     /// When it was uploaded, RFC 3339 UTC.
     pub created_at: String,
-    /// When it was last renamed, parsed, or asked to be, RFC 3339 UTC.
+    /// When it was last changed, parsed, or asked to be, RFC 3339 UTC.
     pub updated_at: String,
 }
 
@@ -91,14 +98,28 @@ pub struct Created {
     pub job: Option<Job>,
 }
 
-/// A new name for a scene.
-#[derive(Debug, Deserialize)]
+/// What is to be different about a scene; what is left out stays.
+#[derive(Debug, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
-pub struct Rename {
+pub struct SceneChange {
     /// One line of 1 to 200 characters, not blank, without control characters.
     #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 200))]
-    pub name: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
+    /// Where the scene lies in a map: questions may then ask for boxes in it. `null` takes it away.
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<SceneToMap>))]
+    #[serde(default, deserialize_with = "said", skip_serializing_if = "Option::is_none")]
+    pub scene_to_map: Option<Option<SceneToMap>>,
+    /// What the map's frame is called, as tf has it: a name like a scene's. `null` takes it away.
+    #[cfg_attr(feature = "openapi", schema(value_type = Option<String>, min_length = 1, max_length = 200, example = "map"))]
+    #[serde(default, deserialize_with = "said", skip_serializing_if = "Option::is_none")]
+    pub map_frame_id: Option<Option<String>>,
+}
+
+/// What a field says, `null` too: a field that is left out says nothing.
+fn said<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Option<Option<T>>, D::Error> {
+    Option::deserialize(deserializer).map(Some)
 }
 
 /// How to parse. An empty object parses with the default settings.

@@ -33,7 +33,7 @@ use uniground_core::models::neural::{Models as NeuralModels, Role};
 use uniground_core::parse::{ParsedScan, parse_scan};
 use uniground_core::progress::Progress;
 use uniground_core::render::RenderScene;
-use uniground_core::scene::{Embeddings, FrameRef, Instance, InstanceId, ParsedScene, PointCloud};
+use uniground_core::scene::{Embeddings, FrameEmbeddings, FrameRef, Instance, InstanceId, ParsedScene, PointCloud};
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::answer::Models;
 use uniground_types::question::{ParserChoice, ReasonerChoice};
@@ -162,14 +162,14 @@ impl System for InProcess {
         // The scene is brought in once for all reasoners and parsers: where a model may decide, it needs photographs.
         let with_views = self.vlm.is_some();
         let known = |annotations: &Annotations, names| boxed(annotations, scene, names, &models, &settings, with_views);
-        let Entered { mut instances, cloud, extent, masks, embeddings, frames, folder } = match configuration.source {
+        let Entered { mut instances, cloud, extent, masks, embeddings, frame_embeddings, frames, folder } = match configuration.source {
             Source::Parsed => {
                 let scan = scene.scan.as_deref().with_context(|| missing("scan"))?;
                 let folder = Unpacked::of(scan)?;
                 let ParsedScan { scene, models, frames, .. } =
                     parse_scan(&folder.path, &settings, &models, &self.checkpoints(scan, &settings.import)?, &Progress::silent())?;
-                let ParsedScene { instances, cloud, extent, embeddings, .. } = scene;
-                Entered { instances, cloud, extent, masks: models.masks, embeddings, frames, folder: Some(folder) }
+                let ParsedScene { instances, cloud, extent, embeddings, frame_embeddings, .. } = scene;
+                Entered { instances, cloud, extent, masks: models.masks, embeddings, frame_embeddings, frames, folder: Some(folder) }
             }
             Source::Oracle => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, NamedBy::Annotated)?,
             Source::OracleBoxes => known(annotated(OracleRun(())).with_context(|| missing("annotations"))?, NamedBy::Encoder)?,
@@ -183,7 +183,8 @@ impl System for InProcess {
             .filter(|_| embeddings.is_some())
             .unwrap_or_else(|| attributes::NAME.into());
         let album = Album::new(extent, RenderScene::of_parsed(cloud, &instances), models.encoder.zip(embeddings), encoder, frames)
-            .with_segmenter(models.segmenters.first().cloned());
+            .with_segmenter(models.segmenters.first().cloned())
+            .with_frame_embeddings(frame_embeddings);
         Ok(Box::new(LocalScene {
             boxes: instances.iter().map(|i| i.aabb).collect(),
             instances: instances.into(),
@@ -202,6 +203,8 @@ struct Entered {
     extent: Aabb,
     masks: String,
     embeddings: Option<Embeddings>,
+    /// Of photographs that may show what is no instance; where all is annotated, none.
+    frame_embeddings: Option<FrameEmbeddings>,
     frames: Vec<FrameRef>,
     /// Where the frames lie.
     folder: Option<Unpacked>,
@@ -232,7 +235,7 @@ fn boxed(
     if with_views {
         view(known, &mut instances, &cloud, &frames, &settings.parsing)?;
     }
-    Ok(Entered { instances, cloud, extent, masks: "none".into(), embeddings, frames, folder })
+    Ok(Entered { instances, cloud, extent, masks: "none".into(), embeddings, frame_embeddings: None, frames, folder })
 }
 
 impl OpenScene for LocalScene {

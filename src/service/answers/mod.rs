@@ -1,5 +1,6 @@
 //! Questions to answers, kept.
 
+mod in_frame;
 mod lists;
 mod pictures;
 mod stored_scene;
@@ -14,6 +15,7 @@ use super::vlm::OF_QUESTION;
 use super::{Caller, Service, Vlm};
 use crate::error::Error;
 use crate::store::NewAnswer;
+use in_frame::Frame;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::time::timeout;
@@ -80,6 +82,11 @@ impl Service {
             }
         }
         let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let frame = Frame::of(request.frame, &scene, source.parse.source_to_scene)?;
+        let request = match &frame {
+            Some(frame) => GroundRequest { observer: request.observer.map(|observer| frame.to_frame.observer(&observer)), ..request },
+            None => request,
+        };
         // A place among those who wait for the model, for as long as the question takes.
         let _place = reviewer.as_ref().map(|vlm| vlm.place()).transpose()?;
         let mut budgets = match &self.vlm {
@@ -105,6 +112,7 @@ impl Service {
         answered.calls.iter().for_each(|call| self.metrics.vlm.purpose(call.purpose));
         let version = u32::try_from(scene.parse_version).unwrap_or(0);
         let mut answer = self.told(&answered, asker.answer_id, scene.id, version, &source.parse);
+        answer.in_frame = frame.map(|frame| frame.holding(&answer.targets));
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
         match self.keep(&answer, model, &parse_id, answered.calls).await {
             Ok(true) => {}
@@ -282,6 +290,7 @@ impl Service {
             stored: true,
             direction_convention,
             frame: CoordinateFrame { up: "z".into(), units: "m".into() },
+            in_frame: None,
             trace: Some(Trace { calls: calls.iter().map(call).collect(), corrections }),
             usage: usage(&calls),
             timings_ms,

@@ -5,6 +5,7 @@ use crate::service::Service;
 use crate::service::parses::{LoadedParse, ParseFile, photograph, read_frames, read_photograph, view};
 use crate::store::Scratch;
 use camino::{Utf8Path, Utf8PathBuf};
+use image::RgbImage;
 use std::collections::BTreeMap;
 use std::fs;
 use std::sync::Arc;
@@ -15,7 +16,7 @@ use uniground_core::ingest::{self, IngestError};
 use uniground_core::models::neural::{DualEncoder, Role};
 use uniground_core::models::{attributes, with_causes};
 use uniground_core::render::{RenderScene, Shot};
-use uniground_core::scene::{Embeddings, Instance, InstanceId, View};
+use uniground_core::scene::{Embeddings, FrameEmbeddings, FrameIndex, Instance, InstanceId, View};
 use uniground_core::scene_parsing::ParseError;
 use uniground_core::scene_parsing::evidence::Picture;
 use uniground_core::scene_parsing::pointed::{Place, Pointing};
@@ -79,6 +80,14 @@ impl SceneSource for StoredScene {
         }
     }
 
+    fn frame_embeddings(&self) -> Option<&FrameEmbeddings> {
+        self.parse.frame_embeddings.as_ref()
+    }
+
+    fn photograph(&self, frame: FrameIndex) -> Option<RgbImage> {
+        read_photograph(&self.folder(), &self.parse.content, frame)
+    }
+
     fn render_scene(&self) -> Result<Arc<RenderScene>, Error> {
         let known = &self.service.parses.render_scenes;
         if let Some(render_scene) = known.get(&self.parse.id) {
@@ -98,12 +107,11 @@ impl SceneSource for StoredScene {
     }
 
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
-        let folder = self.folder();
         if instance.came_later() {
-            let taken = |view: &View| read_photograph(&folder, &self.parse.content, view.frame);
-            let shots = instance.views.iter().filter_map(|view| Some(Shot::of_view(taken(view)?, view)));
+            let shots = instance.views.iter().filter_map(|view| Some(Shot::of_view(self.photograph(view.frame)?, view)));
             return shots.take(most).collect();
         }
+        let folder = self.folder();
         let shots = instance.views.iter().enumerate().filter_map(|(k, view)| shot(&folder, instance.id, k, view));
         shots.take(most).collect()
     }

@@ -9,7 +9,7 @@ use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::NameIndex;
 use uniground_core::recent::Recent;
 use uniground_core::render::RenderScene;
-use uniground_core::scene::{Embeddings, Instance};
+use uniground_core::scene::{Embeddings, FrameEmbeddings, Instance, SourceToScene};
 
 /// A parse as stage 2 needs it.
 #[derive(Clone)]
@@ -25,10 +25,14 @@ pub struct LoadedParse {
     /// Name and version of the model that named everything; `None` where none did.
     pub named_by: Option<String>,
     pub extent: Aabb,
+    /// From the coordinates of the files that were uploaded; `None` in parses from before it was kept.
+    pub source_to_scene: Option<SourceToScene>,
     /// Name and version of what the parse was made with.
     pub masks: String,
     pub encoder: String,
     pub embeddings: Option<Embeddings>,
+    /// What that encoder has seen of frames as a whole.
+    pub frame_embeddings: Option<FrameEmbeddings>,
 }
 
 /// Scenes whose instances stay in memory: a few kilobytes an instance.

@@ -9,8 +9,10 @@ use std::fs::{self, File};
 use std::io;
 use uniground_core::parse::ParsedScan;
 use uniground_core::progress::Progress;
-use uniground_core::render::RenderScene;
-use uniground_core::scene::{Embeddings, FrameIndex, FrameRef, InstanceId, write_cloud_ply, write_even_points, write_instances_ply};
+use uniground_core::render::{RenderScene, jpeg};
+use uniground_core::scene::{
+    Embeddings, FrameEmbeddings, FrameIndex, FrameRef, InstanceId, write_cloud_ply, write_even_points, write_instances_ply,
+};
 use uniground_core::scene_parsing::evidence::{self, EvidencePicture, Picture};
 use uniground_core::scene_parsing::{ParseError, report_pictures};
 
@@ -44,6 +46,7 @@ impl ParseFile {
 }
 
 const NORMS: &str = "embedding_norms.npy";
+const FRAME_EMBEDDINGS: [&str; 2] = ["frame_embeddings.npy", "frame_embeddings_of.npy"];
 const VIEWS: &str = "views";
 const FRAMES: &str = "frames.json";
 
@@ -60,23 +63,26 @@ fn view_name(instance: InstanceId, view: usize, picture: Picture) -> String {
     format!("{instance}-{view}-{kind}.jpg")
 }
 
-/// A photograph that views are of, as it was taken: pictures for models are drawn from it.
+/// A photograph that views are of, through a pinhole: pictures for models are drawn from it.
 pub fn photograph(parse: &Utf8Path, frame: FrameIndex) -> Utf8PathBuf {
     parse.join(VIEWS).join(format!("photograph-{frame}"))
 }
 
-/// A photograph that a view is of, in colour: kept beside the parse, or the scan's own; `None`, and a line in the log, where it can not be read.
+/// A frame's picture in colour, through a pinhole: kept beside the parse, or the scan's own; `None`, and a line in the log, where it can not be
+/// read.
 pub fn read_photograph(parse: &Utf8Path, content: &Utf8Path, frame: FrameIndex) -> Option<RgbImage> {
     let kept = photograph(parse, frame);
-    let of_scan = || Some(read_frames(parse, content).ok()??.into_iter().find(|f| f.index == frame)?.colour);
-    let file = if kept.exists() { kept } else { of_scan()? };
-    let decoded = fs::read(&file)
-        .map_err(|error| error.to_string())
-        .and_then(|bytes| image::load_from_memory(&bytes).map_err(|error| error.to_string()));
-    decoded
-        .map(image::DynamicImage::into_rgb8)
-        .inspect_err(|error| tracing::warn!(%file, error, "a photograph can not be read"))
-        .ok()
+    let picture = match kept.exists() {
+        true => fs::read(&kept)
+            .map_err(|error| error.to_string())
+            .and_then(|bytes| image::load_from_memory(&bytes).map_err(|error| error.to_string()))
+            .map(image::DynamicImage::into_rgb8),
+        false => {
+            let frames = read_frames(parse, content).ok()??;
+            frames.into_iter().find(|of| of.index == frame)?.decode_colour().map_err(|error| error.to_string())
+        }
+    };
+    picture.inspect_err(|error| tracing::warn!(%kept, error, "a photograph can not be read")).ok()
 }
 
 /// The frames of a parse, with their picture files in the content's folder; `None` in parses that were made before frames were kept.
@@ -111,6 +117,19 @@ pub async fn read_embeddings(parse: &Utf8Path) -> Result<Option<Embeddings>, Err
     }
 }
 
+/// What an encoder has seen of frames as a whole; `None` too in parses from before that was kept.
+///
+/// # Errors
+/// Unreadable files.
+pub async fn read_frame_embeddings(parse: &Utf8Path) -> Result<Option<FrameEmbeddings>, Error> {
+    let [rows, frames] = FRAME_EMBEDDINGS.map(|file| parse.join(file));
+    match tokio::fs::read(rows).await {
+        Ok(rows) => Ok(Some(FrameEmbeddings::read(&rows, &tokio::fs::read(frames).await?)?)),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(error) => Err(error.into()),
+    }
+}
+
 /// Writes everything but the report's pictures: clouds, embeddings, evidence; `progress` is told in the two parts it takes.
 ///
 /// # Errors
@@ -126,6 +145,11 @@ pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &
         embeddings.write_rows(File::create(ParseFile::Embeddings.of(parse))?)?;
         embeddings.write_norms(File::create(parse.join(NORMS))?)?;
     }
+    if let Some(seen) = &parsed.frame_embeddings {
+        let [rows, frames] = FRAME_EMBEDDINGS.map(|file| parse.join(file));
+        seen.write_rows(File::create(rows)?)?;
+        seen.write_frames(File::create(frames)?)?;
+    }
     writing.report("draw_report", 0.5).map_err(ParseError::from)?;
     fs::write(
         ParseFile::Thumbnail.of(parse),
@@ -136,7 +160,12 @@ pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &
     fs::create_dir(parse.join(VIEWS))?;
     let shown: BTreeSet<FrameIndex> = parsed.instances.iter().flat_map(|instance| &instance.views).map(|view| view.frame).collect();
     for frame in scan.frames.iter().filter(|frame| shown.contains(&frame.index)) {
-        fs::copy(&frame.colour, photograph(parse, frame.index))?;
+        let file = photograph(parse, frame.index);
+        // What views say of pixels is said of pinhole pictures.
+        match frame.optics.colour_lens {
+            None => drop(fs::copy(&frame.colour, file)?),
+            Some(_) => fs::write(file, jpeg(&frame.decode_colour().map_err(ParseError::from)?))?,
+        }
     }
     evidence::render(&scan.frames, &parsed.instances, drawing, |EvidencePicture { instance, view: at, picture, jpeg }| {
         Ok::<_, Error>(fs::write(view(parse, instance, at, picture), jpeg)?)

@@ -183,7 +183,7 @@ impl Service {
         let changes = self.parses.changes();
         let gone = || Error::SceneNotFound { id: parse_id.into() };
         let row = self.store.parse(parse_id).await?.ok_or_else(gone)?;
-        let ParseRecord { models, extent, .. } = row.record();
+        let ParseRecord { models, extent, import, .. } = row.record();
         let mut instances = self.store.instances(parse_id).await?;
         let named_by = self.give_names(parse_id, &mut instances).await?;
         let corrections = self.store.corrections(parse_id).await?;
@@ -194,13 +194,16 @@ impl Service {
             let merged = instances.iter().enumerate().filter(|(_, instance)| !instance.merged_from.is_empty());
             merged.fold(seen, |seen, (at, merged)| seen.with_mean(merged.merged_from.iter().map(|id| id.0 as usize - 1), at))
         });
+        let frame_embeddings = files::read_frame_embeddings(&self.store.blobs.parse(parse_id)).await?;
         let around = || Aabb::around(&instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>());
         let parse = Arc::new(LoadedParse {
             id: parse_id.to_owned(),
             content: self.store.blobs.content(&row.content_hash),
             embeddings,
+            frame_embeddings,
             renamed: renamed(&corrections),
             extent: extent.or_else(around).ok_or_else(gone)?,
+            source_to_scene: import.and_then(|import| import.source_to_scene),
             names: NameIndex::of(&instances),
             named_by,
             instances,

@@ -8,11 +8,12 @@ use super::{Caller, Service};
 use crate::error::Error;
 use crate::jobs::Job;
 use crate::sample;
-use crate::store::{JobState, ParseRecord, SceneRow, Scratch, page};
+use crate::store::{JobState, ParseRecord, SceneRow, SceneRowChange, Scratch, page};
 use bytes::Bytes;
 use std::convert::Infallible;
 use tokio::task::spawn_blocking;
-use uniground_types::scenes::{Scene, SceneCounts, SceneList, SceneStatus};
+use uniground_types::placement::SceneToMap;
+use uniground_types::scenes::{Scene, SceneChange, SceneCounts, SceneList, SceneStatus};
 use uniground_types::settings::ParseSettings;
 use uploads::check_name;
 
@@ -53,11 +54,18 @@ impl Service {
         self.create_scene(new, body, caller).await
     }
 
+    /// Renames a scene, and says where it lies in a map.
+    ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::Invalid`] for a name that is none.
-    pub async fn rename_scene(&self, id: &str, name: &str) -> Result<Scene, Error> {
-        check_name("/name", name)?;
-        let row = self.store.rename_scene(id, name).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
+    /// [`Error::SceneNotFound`], [`Error::Invalid`] for a name or a rotation that is none.
+    pub async fn change_scene(&self, id: &str, change: SceneChange) -> Result<Scene, Error> {
+        let SceneChange { name, scene_to_map, map_frame_id } = change;
+        name.iter().try_for_each(|name| check_name("/name", name))?;
+        map_frame_id.iter().flatten().try_for_each(|frame_id| check_name("/map_frame_id", frame_id))?;
+        scene_to_map.iter().flatten().try_for_each(SceneToMap::check)?;
+        let map_frame_id = map_frame_id.as_ref().map(Option::as_deref);
+        let change = SceneRowChange { name: name.as_deref(), scene_to_map, map_frame_id };
+        let row = self.store.change_scene(id, change).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
         self.present(row).await
     }
 
@@ -130,7 +138,8 @@ impl Service {
             (None, Some(JobState::Queued | JobState::Running | JobState::Succeeded)) => SceneStatus::Parsing,
             (None, Some(JobState::Failed | JobState::Cancelled)) => SceneStatus::Failed,
         };
-        let SceneRow { id, name, content_hash, parse_id: _, parse_version, job_id, created_at, updated_at } = row;
+        let SceneRow { id, name, content_hash, parse_id: _, parse_version, job_id, scene_to_map, map_frame_id, created_at, updated_at } =
+            row;
         let mut scene = Scene {
             id,
             name,
@@ -139,6 +148,8 @@ impl Service {
             parse_version: u32::try_from(parse_version).unwrap_or(0),
             counts: None,
             extent: None,
+            scene_to_map,
+            map_frame_id,
             import: None,
             report: None,
             settings: None,

@@ -1,11 +1,14 @@
 //! A model sees in a photograph what was not listed: the place becomes an instance, and the model is asked again with it.
 
-use super::{Script, config, corrections, purposes, six_lines, start};
+use super::{Script, config, corrections, pictures_of, purposes, sample, six_lines, start, text_of};
+use crate::neural::tiny;
 use crate::script::{Scripted, says};
-use crate::server::ask;
+use crate::server::{TestServer, ask};
+use uniground::config::{LimitsConfig, ModelsConfig};
 use uniground_core::grounding::{NoMatchReason, Status};
 use uniground_types::answer::Answer;
 use uniground_types::instances::{InstanceView, Levels};
+use uniground_types::question::{GroundRequest, PromptVersion};
 
 const QUERY: &str = "the porcelain teapot";
 const NAME: &str = "white porcelain teapot";
@@ -84,5 +87,45 @@ async fn what_is_seen_but_not_listed_becomes_an_instance() {
     assert_eq!(instances.len(), before + 1 + usize::from(made(&answer).is_some()), "{}", corrections(&answer));
     let again = instances.iter().filter(|other| other.id.0 != id && other.aabb.iou(&instance.aabb) >= 0.5);
     assert_eq!(again.count(), 0, "{}", corrections(&answer));
+    server.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn photographs_are_offered_where_nothing_fits_and_can_be_pointed_into() {
+    let script = Script::default();
+    let encoder = ModelsConfig { masks: "builtin".into(), ..tiny() };
+    let vlm = config(&script.serve(vec![says("-")]).await);
+    let server = TestServer::start_on(tempfile::tempdir().unwrap(), LimitsConfig::default(), vlm, encoder).await;
+    let scene = server.parsed(sample()).await.id;
+    let asked = async |prompt: PromptVersion, answers: Vec<Scripted>| {
+        script.take();
+        script.next(answers);
+        let answer = server.client.ground(&scene, &GroundRequest { prompt, ..ask(QUERY) }).await.unwrap();
+        (answer, script.take().remove(0))
+    };
+    let none = || six_lines("none", "", false, 1);
+    let told = "photographs of the room with nothing drawn in";
+    let (answer, body) = asked(PromptVersion::Revised, vec![none()]).await;
+    let best = answer.candidates.as_ref().unwrap().iter().map(|c| c.score).fold(0.0, f32::max);
+    assert!(best < 0.5 && text_of(&body).contains(told), "{best}: {}", text_of(&body));
+    let pictures = pictures_of(&body);
+    let (_, paper) = asked(PromptVersion::Paper, vec![none()]).await;
+    assert!(!text_of(&paper).contains(told));
+
+    // A place in the last one of them is a place in its frame: what lies there becomes an instance.
+    let spots = [200, 350, 500, 650, 800].into_iter().flat_map(|x| [400, 550, 700, 850].map(|y| (x, y)));
+    let mut found = None;
+    for at in spots {
+        let (answer, _) = asked(PromptVersion::Revised, vec![sees(pictures, at), none()]).await;
+        assert_eq!(answer.trace.as_ref().unwrap().calls[0].error, None);
+        if let Some(id) = made(&answer) {
+            assert!(corrections(&answer).contains("in photograph-2"), "{}", corrections(&answer));
+            found = Some(id);
+            break;
+        }
+    }
+    let id = found.expect("something in the photograph is no instance");
+    let instances = server.client.all_instances(&scene, Levels::All).await.unwrap();
+    assert_eq!((instances.last().unwrap().id.0, instances.last().unwrap().label.as_str()), (id, NAME));
     server.stop().await;
 }

@@ -440,8 +440,8 @@ export interface paths {
         delete: operations["delete_scene"];
         options?: never;
         head?: never;
-        /** Renames a scene. */
-        patch: operations["rename_scene"];
+        /** Renames a scene, and says where it lies in a map. */
+        patch: operations["change_scene"];
         trace?: never;
     };
     "/v1/scenes/{scene_id}/annotations": {
@@ -884,10 +884,11 @@ export interface components {
             direction_convention: string;
             /** @description Paths of the pictures that go with the answer. */
             evidence?: string[] | null;
-            /** @description The frame of all boxes here. */
+            /** @description The frame of all boxes here, but for those of `in_frame`. */
             frame: components["schemas"]["CoordinateFrame"];
             /** @description UUIDv7; in order of time. */
             id: string;
+            in_frame?: components["schemas"]["InFrame"] | null;
             /** @description Who found, compared, read and decided. */
             models: components["schemas"]["Models"];
             no_match_reason?: components["schemas"]["NoMatchReason"] | null;
@@ -942,6 +943,12 @@ export interface components {
         };
         /** @description Which pictures of an instance an encoder looks at. */
         AppearanceSettings: {
+            /**
+             * Format: int32
+             * @description Frames looked at as a whole, spread over the scan: for what is in no instance. Paper: none.
+             * @default 40
+             */
+            frames?: number;
             /**
              * Format: float
              * @description Level `l` grows the tight box by `l` times this share of its width and height, per side. Paper: 0.1.
@@ -1288,6 +1295,11 @@ export interface components {
             pointer: string;
         };
         /**
+         * @description Whose coordinates a question and its answer's boxes are in. The scene's own are told in any case.
+         * @enum {string}
+         */
+        FrameChoice: "scene" | "source" | "map";
+        /**
          * Format: int32
          * @description Position of a frame in the scan's own list; stable when frames are skipped.
          */
@@ -1395,6 +1407,8 @@ export interface components {
             direction_convention?: components["schemas"]["DirectionConvention"];
             /** @description What a vision-language model is shown of the candidates. */
             evidence?: components["schemas"]["EvidenceMode"];
+            /** @description Whose coordinates `observer` is in, and boxes are told in beside the scene's own: `in_frame` of the answer. */
+            frame?: components["schemas"]["FrameChoice"];
             /** @description Optional parts to send back; all when left out. */
             include?: components["schemas"]["Include"][] | null;
             /**
@@ -1515,6 +1529,17 @@ export interface components {
          * @enum {string}
          */
         Include: "candidates" | "evidence" | "trace";
+        /** @description The boxes of an answer in the coordinates that were asked for. */
+        InFrame: {
+            /** @description One for each of `targets`, in their order. */
+            boxes: components["schemas"]["PlacedBox"][];
+            /** @description `source` or `map`. */
+            frame: components["schemas"]["FrameChoice"];
+            /** @description What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said. */
+            frame_id?: string | null;
+            /** @description From the scene's coordinates to these: for everything else the answer tells. */
+            scene_to_frame: components["schemas"]["SceneToFrame"];
+        };
         /**
          * Format: int32
          * @description Number of an instance within its scene, counted from 1: things in falling order of points, then parts and wholes, best shown first.
@@ -2015,7 +2040,7 @@ export interface components {
         Normalisation: "normalised" | "literal";
         /** @description Somebody who stands in the room. */
         Observer: {
-            /** @description Metres, world frame (Z up). */
+            /** @description Metres, world frame (Z up), unless a question's `frame` says otherwise. */
             position: number[];
             /**
              * Format: float
@@ -2156,6 +2181,7 @@ export interface components {
              * @description How the cloud is cut into instances.
              * @default {
              *       "appearance": {
+             *         "frames": 40,
              *         "level_step": 0.10000000149011612,
              *         "levels": 3,
              *         "min_visible": 0.20000000298023224,
@@ -2255,6 +2281,7 @@ export interface components {
             /**
              * @description What an encoder looks at, where the server has one.
              * @default {
+             *       "frames": 40,
              *       "level_step": 0.10000000149011612,
              *       "levels": 3,
              *       "min_visible": 0.20000000298023224,
@@ -2430,6 +2457,17 @@ export interface components {
              */
             plate_thickness_m?: number;
         };
+        /** @description A box anyhow turned. As `vision_msgs/BoundingBox3D` has it. */
+        PlacedBox: {
+            /** @description Centre, in the frame's units. */
+            center: number[];
+            /** @description The instance it is of. */
+            id: components["schemas"]["InstanceId"];
+            /** @description Turns the box's own axes to the frame's: unit quaternion `x, y, z, w`. */
+            orientation: number[];
+            /** @description Full extent along the box's own axes, in the frame's units. */
+            size: number[];
+        };
         /**
          * @description How poses are to be read.
          * @enum {string}
@@ -2524,11 +2562,6 @@ export interface components {
          * @enum {string}
          */
         ReasonerChoice: "auto" | "vlm" | "builtin";
-        /** @description A new name for a scene. */
-        Rename: {
-            /** @description One line of 1 to 200 characters, not blank, without control characters. */
-            name: string;
-        };
         /** @description What the model said in one call. */
         ReplyCall: {
             /** @description Why there was no reply; `null` when there was one. */
@@ -2764,6 +2797,8 @@ export interface components {
             import?: components["schemas"]["ImportReport"] | null;
             /** @description The latest parse job on this scene. */
             job_id?: string | null;
+            /** @description What that map's frame is called; `null` where nobody has said. */
+            map_frame_id?: string | null;
             models?: components["schemas"]["ParseModels"] | null;
             /** @description One line of 1 to 200 characters, given at the upload, taken from the archive, or `scene`. Need not be unique. */
             name: string;
@@ -2773,11 +2808,23 @@ export interface components {
              */
             parse_version: number;
             report?: components["schemas"]["ParseReport"] | null;
+            scene_to_map?: components["schemas"]["SceneToMap"] | null;
             settings?: components["schemas"]["ParseSettings"] | null;
             /** @description Whether questions can be asked. */
             status: components["schemas"]["SceneStatus"];
-            /** @description When it was last renamed, parsed, or asked to be, RFC 3339 UTC. */
+            /** @description When it was last changed, parsed, or asked to be, RFC 3339 UTC. */
             updated_at: string;
+        };
+        /** @description What is to be different about a scene; what is left out stays. */
+        SceneChange: {
+            /**
+             * @description What the map's frame is called, as tf has it: a name like a scene's. `null` takes it away.
+             * @example map
+             */
+            map_frame_id?: string | null;
+            /** @description One line of 1 to 200 characters, not blank, without control characters. */
+            name?: string | null;
+            scene_to_map?: components["schemas"]["SceneToMap"] | null;
         };
         /** @description Sizes of a scene's current parse. */
         SceneCounts: {
@@ -2830,6 +2877,40 @@ export interface components {
          * @enum {string}
          */
         SceneStatus: "uploaded" | "parsing" | "ready" | "failed";
+        /** @description From a scene's coordinates to others: `other = scale * rotation * scene + translation`. */
+        SceneToFrame: {
+            /** @description Unit quaternion `x, y, z, w`. */
+            rotation: number[];
+            /**
+             * Format: double
+             * @description Units of the other coordinates to a metre; 1 for maps.
+             */
+            scale: number;
+            /** @description In units of the other coordinates. */
+            translation: number[];
+        };
+        /** @description Where a scene lies in somebody's map: `map = rotation * scene + translation_m`, in metres on both sides. */
+        SceneToMap: {
+            /**
+             * @description Unit quaternion `x, y, z, w`, as ROS has it.
+             * @example [
+             *       0,
+             *       0,
+             *       0,
+             *       1
+             *     ]
+             */
+            rotation: number[];
+            /**
+             * @description Metres, in the map's axes.
+             * @example [
+             *       1.5,
+             *       -2,
+             *       0
+             *     ]
+             */
+            translation_m: number[];
+        };
         /**
          * @description What a key lets its holder do; each includes those before it.
          * @enum {string}
@@ -6818,7 +6899,7 @@ export interface operations {
             };
         };
     };
-    rename_scene: {
+    change_scene: {
         parameters: {
             query?: never;
             header?: never;
@@ -6829,7 +6910,7 @@ export interface operations {
         };
         requestBody: {
             content: {
-                "application/json": components["schemas"]["Rename"];
+                "application/json": components["schemas"]["SceneChange"];
             };
         };
         responses: {

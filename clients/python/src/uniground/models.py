@@ -24,6 +24,8 @@ DirectionConvention = Literal["paper", "viewer"]
 """Named conventions. World frame, Z up."""
 EvidenceMode = Literal["full", "cached_names", "sheet", "two_step"]
 """What a vision-language model is shown of the candidates."""
+FrameChoice = Literal["scene", "source", "map"]
+"""Whose coordinates a question and its answer's boxes are in. The scene's own are told in any case."""
 FrameIndex = int
 """Position of a frame in the scan's own list; stable when frames are skipped."""
 Include = Literal["candidates", "evidence", "trace"]
@@ -122,7 +124,7 @@ class Answer(AnswerMethods):
     direction_convention: str
     """Convention for left, right, front and back: `paper`, `viewer` or `observer`. "Facing the door" in the question comes before it."""
     frame: CoordinateFrame
-    """The frame of all boxes here."""
+    """The frame of all boxes here, but for those of `in_frame`."""
     usage: Usage
     """What the calls took and cost."""
     timings_ms: Timings
@@ -136,6 +138,7 @@ class Answer(AnswerMethods):
     """A built-in part took the place of a model that could not be used, or that never chose a candidate; `trace.corrections` says why."""
     evidence: Optional[list[str]] = None
     """Paths of the pictures that go with the answer."""
+    in_frame: Optional[InFrame] = None
     no_match_reason: Optional[NoMatchReason] = None
     oriented_box: Optional[OrientedBox] = None
     seen: Optional[Seen] = None
@@ -177,6 +180,8 @@ class AnswerReply:
 
 class AppearanceSettings(TypedDict, total=False):
     """Which pictures of an instance an encoder looks at."""
+    frames: int
+    """Frames looked at as a whole, spread over the scan: for what is in no instance. Paper: none."""
     level_step: float
     """Level `l` grows the tight box by `l` times this share of its width and height, per side. Paper: 0.1."""
     levels: int
@@ -257,6 +262,8 @@ class BatchItemOptions(TypedDict, total=False):
     """What left, right, front and back mean; an `observer` comes before it."""
     evidence: EvidenceMode
     """What a vision-language model is shown of the candidates."""
+    frame: FrameChoice
+    """Whose coordinates `observer` is in, and boxes are told in beside the scene's own: `in_frame` of the answer."""
     include: Optional[Sequence[Include]]
     """Optional parts to send back; all when left out."""
     max_cost_usd: Optional[float]
@@ -266,7 +273,9 @@ class BatchItemOptions(TypedDict, total=False):
     nothing is uncertain.
     """
     observer: Optional[Observer]
-    """Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me"."""
+    """Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me". In the coordinates that
+    `frame` names.
+    """
     parser: ParserChoice
     """Who reads the question."""
     prompt: PromptVersion
@@ -548,6 +557,8 @@ class GroundOptions(TypedDict, total=False):
     """What left, right, front and back mean; an `observer` comes before it."""
     evidence: EvidenceMode
     """What a vision-language model is shown of the candidates."""
+    frame: FrameChoice
+    """Whose coordinates `observer` is in, and boxes are told in beside the scene's own: `in_frame` of the answer."""
     include: Optional[Sequence[Include]]
     """Optional parts to send back; all when left out."""
     max_cost_usd: Optional[float]
@@ -557,7 +568,9 @@ class GroundOptions(TypedDict, total=False):
     nothing is uncertain.
     """
     observer: Optional[Observer]
-    """Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me"."""
+    """Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me". In the coordinates that
+    `frame` names.
+    """
     parser: ParserChoice
     """Who reads the question."""
     prompt: PromptVersion
@@ -630,6 +643,19 @@ class ImportSettings(TypedDict, total=False):
     """
     up: Optional[UpAxis]
     """The world axis that points up in the files. `null`: what the manifest says; without one, the axis the cameras hold up."""
+
+
+@dataclass
+class InFrame:
+    """The boxes of an answer in the coordinates that were asked for."""
+    frame: FrameChoice
+    """`source` or `map`."""
+    scene_to_frame: SceneToFrame
+    """From the scene's coordinates to these: for everything else the answer tells."""
+    boxes: list[PlacedBox]
+    """One for each of `targets`, in their order."""
+    frame_id: Optional[str] = None
+    """What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said."""
 
 
 @dataclass
@@ -978,7 +1004,7 @@ class NewKey(NewKeyOptions):
 class Observer(TypedDict):
     """Somebody who stands in the room."""
     position: Sequence[float]
-    """Metres, world frame (Z up)."""
+    """Metres, world frame (Z up), unless a question's `frame` says otherwise."""
     yaw_rad: float
     """Direction of view about +Z, radians; 0 looks along +X."""
 
@@ -1105,6 +1131,19 @@ class PartMergingSettings(TypedDict, total=False):
 
 
 @dataclass
+class PlacedBox:
+    """A box anyhow turned. As `vision_msgs/BoundingBox3D` has it."""
+    id: InstanceId
+    """The instance it is of."""
+    center: list[float]
+    """Centre, in the frame's units."""
+    size: list[float]
+    """Full extent along the box's own axes, in the frame's units."""
+    orientation: list[float]
+    """Turns the box's own axes to the frame's: unit quaternion `x, y, z, w`."""
+
+
+@dataclass
 class Problem:
     """An error. `code` is stable; `detail` is for people and names the file, frame or field."""
     type: str
@@ -1173,12 +1212,6 @@ class Readiness:
     """`ok`, or since when the vision-language model has answered no call; absent where none is configured. It does not count for `ready`:
     built-in parts answer meanwhile.
     """
-
-
-class Rename(TypedDict):
-    """A new name for a scene."""
-    name: str
-    """One line of 1 to 200 characters, not blank, without control characters."""
 
 
 @dataclass
@@ -1298,16 +1331,29 @@ class Scene:
     created_at: str
     """When it was uploaded, RFC 3339 UTC."""
     updated_at: str
-    """When it was last renamed, parsed, or asked to be, RFC 3339 UTC."""
+    """When it was last changed, parsed, or asked to be, RFC 3339 UTC."""
     counts: Optional[SceneCounts] = None
     error: Optional[JobError] = None
     extent: Optional[Aabb] = None
     import_: Optional[ImportReport] = None
     job_id: Optional[str] = None
     """The latest parse job on this scene."""
+    map_frame_id: Optional[str] = None
+    """What that map's frame is called; `null` where nobody has said."""
     models: Optional[ParseModels] = None
     report: Optional[ParseReport] = None
+    scene_to_map: Optional[SceneToMap] = None
     settings: Optional[ParseSettings] = None
+
+
+class SceneChange(TypedDict, total=False):
+    """What is to be different about a scene; what is left out stays."""
+    map_frame_id: Optional[str]
+    """What the map's frame is called, as tf has it: a name like a scene's. `null` takes it away."""
+    name: Optional[str]
+    """One line of 1 to 200 characters, not blank, without control characters."""
+    scene_to_map: Optional[SceneToMap]
+    """Where the scene lies in a map: questions may then ask for boxes in it. `null` takes it away."""
 
 
 @dataclass
@@ -1345,6 +1391,25 @@ class SceneReport:
     models: Optional[ParseModels] = None
     parse: Optional[ParseReport] = None
     settings: Optional[ParseSettings] = None
+
+
+@dataclass
+class SceneToFrame:
+    """From a scene's coordinates to others: `other = scale * rotation * scene + translation`."""
+    rotation: list[float]
+    """Unit quaternion `x, y, z, w`."""
+    translation: list[float]
+    """In units of the other coordinates."""
+    scale: float
+    """Units of the other coordinates to a metre; 1 for maps."""
+
+
+class SceneToMap(TypedDict):
+    """Where a scene lies in somebody's map: `map = rotation * scene + translation_m`, in metres on both sides."""
+    rotation: Sequence[float]
+    """Unit quaternion `x, y, z, w`, as ROS has it."""
+    translation_m: Sequence[float]
+    """Metres, in the map's axes."""
 
 
 @dataclass

@@ -7,8 +7,9 @@ use crate::geometry::boxes::Aabb;
 use crate::models::neural::{DualEncoder, Models, Segmenter};
 use crate::parse::ParsedScan;
 use crate::render::{RenderScene, Shot};
-use crate::scene::{Embeddings, FrameRef, Instance, InstanceId, View};
+use crate::scene::{Embeddings, FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, View};
 use crate::scene_parsing::pointed::{Place, Pointing};
+use image::RgbImage;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use uniground_types::settings::ParsingSettings;
@@ -23,6 +24,8 @@ pub struct Album {
     pub seen: Option<(Arc<DualEncoder>, Embeddings)>,
     /// Name and version of the encoder that has seen the instances, or of the built-in attributes in its place.
     pub encoder: String,
+    /// What frames look like as a whole to that encoder, where it has looked at them.
+    pub frame_embeddings: Option<FrameEmbeddings>,
     /// The scan's frames. Their picture files must stay in place as long as a model may be shown them.
     pub frames: Vec<FrameRef>,
     /// Cuts out what a model saw in a photograph; `None`: the built-in masks do.
@@ -51,13 +54,19 @@ impl Album {
     ) -> Self {
         let render_scene = Arc::new(render_scene);
         let (pictures, names) = (PictureCache::default(), Mutex::default());
-        Self { extent, render_scene, seen, encoder, frames, segmenter: None, pictures, names }
+        Self { extent, render_scene, seen, encoder, frame_embeddings: None, frames, segmenter: None, pictures, names }
     }
 
     /// With a segmenter that cuts out what a model saw in a photograph.
     #[must_use]
     pub fn with_segmenter(self, segmenter: Option<Arc<Segmenter>>) -> Self {
         Self { segmenter, ..self }
+    }
+
+    /// With what an encoder has seen of frames as a whole.
+    #[must_use]
+    pub fn with_frame_embeddings(self, frame_embeddings: Option<FrameEmbeddings>) -> Self {
+        Self { frame_embeddings, ..self }
     }
 
     /// These instances in this album.
@@ -74,7 +83,7 @@ impl AlbumScene {
         let ParsedScan { scene, frames, models: used, .. } = scan;
         let seen = models.encoder.clone().zip(scene.embeddings);
         let render_scene = RenderScene::of_parsed(scene.cloud, &scene.instances);
-        let album = Album::new(scene.extent, render_scene, seen, used.encoder, frames);
+        let album = Album::new(scene.extent, render_scene, seen, used.encoder, frames).with_frame_embeddings(scene.frame_embeddings);
         Arc::new(album.with_segmenter(models.segmenters.first().cloned())).scene(scene.instances.into())
     }
 }
@@ -102,15 +111,20 @@ impl SceneSource for AlbumScene {
         Ok(self.album.seen.as_ref().map(|(encoder, embeddings)| (encoder.as_ref(), embeddings)))
     }
 
+    fn frame_embeddings(&self) -> Option<&FrameEmbeddings> {
+        self.album.frame_embeddings.as_ref()
+    }
+
+    fn photograph(&self, frame: FrameIndex) -> Option<RgbImage> {
+        self.album.frames.iter().find(|of| of.index == frame)?.decode_colour().ok()
+    }
+
     fn render_scene(&self) -> Result<Arc<RenderScene>, QuestionError> {
         Ok(self.album.render_scene.clone())
     }
 
     fn photographs(&self, instance: &Instance, most: usize) -> Vec<Shot> {
-        let shot = |view: &View| {
-            let frame = self.album.frames.iter().find(|frame| frame.index == view.frame)?.decode_colour().ok()?;
-            Some(Shot::of_view(frame, view))
-        };
+        let shot = |view: &View| Some(Shot::of_view(self.photograph(view.frame)?, view));
         instance.views.iter().filter_map(shot).take(most).collect()
     }
 

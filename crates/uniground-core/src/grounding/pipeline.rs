@@ -167,7 +167,8 @@ async fn reviewed<S: SceneSource>(
     };
     let (context, evidence, unnamed) = source
         .compute(move |source| {
-            let evidence = vlm::collect(source, &context, &PictureSettings::of(options))?;
+            let photographs = vlm::offered(source, &context, options)?;
+            let evidence = vlm::VisualEvidence { photographs, ..vlm::collect(source, &context, &PictureSettings::of(options))? };
             let mut unnamed = context.unnamed(&known, options.evidence);
             unnamed.truncate(naming::PER_SHEET);
             let unnamed = naming::sheet_of(source, 1, &unnamed)?;

@@ -6,9 +6,10 @@ use crate::geometry::boxes::Aabb;
 use crate::models::chat::AskError;
 use crate::models::neural::{DualEncoder, ModelError};
 use crate::render::{RenderScene, Shot, close_ups};
-use crate::scene::{Embeddings, Instance, InstanceId};
+use crate::scene::{Embeddings, FrameEmbeddings, FrameIndex, Instance, InstanceId};
 use crate::scene_parsing::ParseError;
 use crate::scene_parsing::pointed::Place;
+use image::RgbImage;
 use std::collections::BTreeMap;
 use std::fmt::Display;
 use std::sync::Arc;
@@ -35,6 +36,12 @@ pub trait SceneSource: Send + Sync + Sized + 'static {
     /// # Errors
     /// The encoder that has seen the scene is not at hand.
     fn embeddings(&self) -> Result<Option<(&DualEncoder, &Embeddings)>, Self::Error>;
+
+    /// What frames look like as a whole, to the encoder that has seen the instances; `None` where it has not looked at them.
+    fn frame_embeddings(&self) -> Option<&FrameEmbeddings>;
+
+    /// A frame's picture as it was taken; `None` where it can not be read.
+    fn photograph(&self, frame: FrameIndex) -> Option<RgbImage>;
 
     /// The cloud, ready to be drawn.
     ///

@@ -130,10 +130,15 @@ impl Embeddings {
         if two != 2 || normed != count || dim == 0 {
             return Err(io::Error::new(io::ErrorKind::InvalidData, "embeddings and their norms do not belong together"));
         }
-        let rows = rows.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
         let values: Vec<f32> = norms.as_chunks::<4>().0.iter().map(|b| f32::from_le_bytes(*b)).collect();
         let norms = values.as_chunks::<2>().0.iter().map(|&[appearance, joint]| Norms { appearance, joint }).collect();
-        Ok(Self { dim, rows, norms })
+        Ok(Self { norms, ..Self::of_halves(dim, rows) })
+    }
+
+    /// Rows as bytes of half floats, little-endian.
+    pub(super) fn of_halves(dim: usize, rows: &[u8]) -> Self {
+        let rows: Vec<f16> = rows.as_chunks::<2>().0.iter().map(|b| f16::from_le_bytes(*b)).collect();
+        Self { dim, norms: vec![Norms::default(); rows.len() / dim], rows }
     }
 
     /// Cosine of every instance with a unit vector, by index; exact, and the same on every machine.

@@ -1,6 +1,6 @@
 //! The result of stage 1: a scene cut into instances.
 
-use super::{Embeddings, Instance, InstanceId, ParseReport, PointCloud};
+use super::{Embeddings, FrameEmbeddings, Instance, InstanceId, ParseReport, PointCloud};
 use crate::geometry::boxes::Aabb;
 
 /// A parsed scene: every point belongs to one thing, or to none; parts and wholes overlap the things.
@@ -16,6 +16,8 @@ pub struct ParsedScene {
     pub instances: Vec<Instance>,
     /// What the instances look like, where an encoder has seen them.
     pub embeddings: Option<Embeddings>,
+    /// What some of the frames look like as a whole, where an encoder has seen them.
+    pub frame_embeddings: Option<FrameEmbeddings>,
     /// Axis-aligned box of all points, metres, world frame.
     pub extent: Aabb,
     /// What each step did and took, and what is odd.

@@ -12,6 +12,7 @@ pub mod appearance;
 pub mod checkpoints;
 pub mod correction;
 pub mod evidence;
+pub mod frame_appearance;
 pub mod frame_sampling;
 pub mod hierarchy;
 pub mod instances;
@@ -35,7 +36,7 @@ use crate::geometry::boxes::Aabb;
 use crate::models::neural::{DualEncoder, ModelError};
 use crate::models::{attributes, calibration};
 use crate::progress::{Cancelled, Progress};
-use crate::scene::{FrameError, FrameRef, ParseReport, ParsedScene, PointCloud, SceneBundle};
+use crate::scene::{FrameEmbeddings, FrameError, FrameRef, ParseReport, ParsedScene, PointCloud, SceneBundle};
 use appearance::Correction;
 use checkpoints::Checkpoints;
 use correction::Corrector;
@@ -101,6 +102,9 @@ impl<'a> Perception<'a> {
     }
 }
 
+/// Where appearance ends and that of frames begins, as a share of the whole.
+const FRAMES_LOOKED_AT: f32 = 0.97;
+
 /// Cuts a scene into instances. Stages found in `checkpoints` are taken from there.
 ///
 /// # Errors
@@ -141,7 +145,7 @@ pub fn parse(
         false => Vec::new(),
         true => watch.time("appearance", |outcome| {
             let labelled = Labelled { labels: &labels, visibility: &visibility };
-            let looking = progress.part(ends[7], 1.0);
+            let looking = progress.part(ends[7], FRAMES_LOOKED_AT);
             let (rows, outlines) = appearance::look(
                 &frames,
                 &instances,
@@ -162,6 +166,14 @@ pub fn parse(
         .map(|encoder| calibration::name_all(&mut instances, encoder, &rows))
         .transpose()?;
 
+    let frame_embeddings = match perception.encoder {
+        None => None,
+        Some(encoder) => watch.time("frame_appearance", |outcome| {
+            let seen = frame_appearance::look(&frames, encoder, &settings.appearance, &progress.part(FRAMES_LOOKED_AT, 1.0))?;
+            outcome.produced = seen.as_ref().map_or(0, FrameEmbeddings::len);
+            Ok::<_, ParseError>(seen)
+        })?,
+    };
     let report = ParseReport {
         points: cloud.len() as u64,
         frames_used: frames.len() as u32,
@@ -177,7 +189,7 @@ pub fn parse(
     };
     let instance_of_point = labels.thing_of_point.into_owned();
     let superpoint_of_point = superpoints.of_point;
-    Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, embeddings, extent, report })
+    Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, embeddings, frame_embeddings, extent, report })
 }
 
 /// The points of a scan in regions, each a candidate for an instance, and what was found out on the way.

@@ -44,11 +44,13 @@ pub struct AppearanceSettings {
     pub levels: u32,
     /// Level `l` grows the tight box by `l` times this share of its width and height, per side. Paper: 0.1.
     pub level_step: f32,
+    /// Frames looked at as a whole, spread over the scan: for what is in no instance. Paper: none.
+    pub frames: u32,
 }
 
 impl Default for AppearanceSettings {
     fn default() -> Self {
-        Self { views: 5, min_visible: 0.2, levels: 3, level_step: 0.1 }
+        Self { views: 5, min_visible: 0.2, levels: 3, level_step: 0.1, frames: 40 }
     }
 }
 
@@ -56,6 +58,6 @@ impl AppearanceSettings {
     /// As many views and crops as the paper takes.
     #[must_use]
     pub fn paper() -> Self {
-        Self { views: 10, levels: 5, ..Self::default() }
+        Self { views: 10, levels: 5, frames: 0, ..Self::default() }
     }
 }

@@ -105,7 +105,7 @@ impl ParsingSettings {
         let positive = |v: f32| v.is_finite() && v > 0.0;
         let share = |v: f32| (0.0..=1.0).contains(&v);
         let weight = |v: f32| v.is_finite() && v >= 0.0;
-        let rules: [(&str, bool, &str); 53] = [
+        let rules: [(&str, bool, &str); 54] = [
             ("/frame_sampling/stride_frames", frame_sampling.stride_frames > 0, "at least 1"),
             ("/frame_sampling/max_frames", frame_sampling.max_frames != Some(0), "at least 1, or null"),
             ("/superpoints/voxel_m", (0.001..=10.0).contains(&superpoints.voxel_m), "0.001 to 10 metres"),
@@ -175,6 +175,7 @@ impl ParsingSettings {
                 (1..=16).contains(&appearance.levels) && share(appearance.level_step),
                 "1 to 16, steps of 0 to 1",
             ),
+            ("/appearance/frames", appearance.frames <= 1000, "at most 1000"),
         ];
         rules
             .into_iter()

@@ -1,29 +1,34 @@
 //! The pipeline from end to end over a few things in memory, with a model that says what it is told to.
 
 use super::*;
-use crate::geometry::Point3;
 use crate::geometry::boxes::Aabb;
+use crate::geometry::{Isometry3, Point3};
 use crate::grounding::Status;
 use crate::grounding::album::{Album, AlbumScene};
 use crate::grounding::query::VlmParser;
 use crate::models::attributes::tests::thing;
-use crate::models::chat::{ChatError, ChatFailure, ChatReply, ChatRequest, Prices};
+use crate::models::chat::{ChatError, ChatFailure, ChatReply, ChatRequest, Part, Prices};
+use crate::models::neural::tests::tiny_encoder;
 use crate::render::RenderScene;
-use crate::scene::{InstanceId, PointCloud, Support};
+use crate::scene::{FrameEmbeddings, FrameIndex, FrameRef, Instance, InstanceId, Intrinsics, PointCloud, Support};
+use camino::Utf8Path;
 use futures::FutureExt;
 use futures::executor::block_on;
 use futures::future::BoxFuture;
+use image::RgbImage;
 use std::sync::Mutex;
 
 /// Answers in order, the last one for ever; `None`: it can not be asked.
 struct Scripted {
     replies: Mutex<Vec<Option<&'static str>>>,
     asked: Mutex<u32>,
+    /// Names of the pictures of every call.
+    shown: Mutex<Vec<String>>,
 }
 
 impl Scripted {
     fn new(replies: &[Option<&'static str>]) -> Arc<Self> {
-        Arc::new(Self { replies: Mutex::new(replies.to_vec()), asked: Mutex::new(0) })
+        Arc::new(Self { replies: Mutex::new(replies.to_vec()), asked: Mutex::new(0), shown: Mutex::default() })
     }
 
     fn asked(&self) -> u32 {
@@ -40,9 +45,13 @@ impl ChatModel for Scripted {
         Prices::default()
     }
 
-    fn ask<'a>(&'a self, _: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
+    fn ask<'a>(&'a self, request: &'a ChatRequest) -> BoxFuture<'a, Result<ChatReply, ChatFailure>> {
         async move {
             *self.asked.lock().unwrap() += 1;
+            self.shown.lock().unwrap().extend(request.user.iter().filter_map(|part| match part {
+                Part::Picture(picture) => Some(picture.name.clone()),
+                Part::Text(_) => None,
+            }));
             let mut replies = self.replies.lock().unwrap();
             let reply = if replies.len() > 1 { replies.remove(0) } else { replies[0] };
             let down = || ChatFailure { error: ChatError::Transport("down".into()), attempts: 1, lost: 0, latency_ms: 0.0 };
@@ -56,13 +65,16 @@ impl ChatModel for Scripted {
 
 /// Two red chairs of which one stands by the table.
 fn room() -> Arc<AlbumScene> {
-    let instances = vec![
+    let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
+    Arc::new(Album::new(extent, RenderScene::of(PointCloud::default()), None, "attributes".into(), Vec::new())).scene(things().into())
+}
+
+fn things() -> Vec<Instance> {
+    vec![
         thing(1, [0.0, 0.0], [1.4, 0.8, 0.75], 0.0, Support::Floor, [120, 80, 40]),
         thing(2, [1.2, 0.0], [0.45, 0.45, 0.9], 0.0, Support::Floor, [200, 30, 30]),
         thing(3, [4.0, 2.0], [0.45, 0.45, 0.9], 0.0, Support::Floor, [200, 30, 30]),
-    ];
-    let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
-    Arc::new(Album::new(extent, RenderScene::of(PointCloud::default()), None, "attributes".into(), Vec::new())).scene(instances.into())
+    ]
 }
 
 const QUERY: &str = "the red chair next to the table";
@@ -121,4 +133,65 @@ fn a_model_that_can_not_be_asked_is_replaced_or_told() {
     let parser = Arc::new(VlmParser { model, budgets: Vec::new() });
     let misread = Ask { parser, without_parser: WithoutModel::Fail, ..Ask::of(Question::of(QUERY)) };
     assert!(block_on(answer(&room(), misread)).unwrap().degraded);
+}
+
+/// The room with a photograph that an encoder has seen, without having seen the things.
+fn photographed(folder: &Utf8Path) -> Arc<AlbumScene> {
+    let colour = folder.join("0.png");
+    RgbImage::from_pixel(1600, 1200, image::Rgb([10, 200, 30])).save(&colour).unwrap();
+    let intrinsics = Intrinsics { width: 1600, height: 1200, fx: 800.0, fy: 800.0, cx: 800.0, cy: 600.0 };
+    let frame = FrameRef {
+        index: FrameIndex(7),
+        depth: colour.clone(),
+        colour,
+        colour_intrinsics: intrinsics,
+        depth_intrinsics: intrinsics,
+        depth_scale_m: 0.001,
+        camera_to_world: Isometry3::identity(),
+        optics: crate::scene::Optics::default(),
+    };
+    let (encoder, things) = (tiny_encoder(), things());
+    let dim = encoder.dim();
+    let unseen = Embeddings::new(dim, &vec![0.0; dim * things.len()]);
+    let mut of_frame = vec![0.0; dim];
+    of_frame[0] = 1.0;
+    let seen = Some((encoder, unseen));
+    let extent = Aabb::from_corners(Point3::new(-1.0, -1.0, 0.0), Point3::new(5.0, 3.0, 2.5));
+    let album = Album::new(extent, RenderScene::of(PointCloud::default()), seen, "tiny".into(), vec![frame]);
+    Arc::new(album.with_frame_embeddings(Some(FrameEmbeddings::new(dim, vec![FrameIndex(7)], &of_frame)))).scene(things.into())
+}
+
+#[test]
+fn photographs_are_offered_where_no_candidate_fits_and_the_model_may_say_what_is_not_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = photographed(Utf8Path::from_path(folder.path()).unwrap());
+    let shown = |query: &str, options: Options| {
+        let model = Scripted::new(&[Some("Predicted ID: none\nExplanation: there is none")]);
+        let review = Review { model: model.clone(), budgets: Vec::new(), options, without_model: WithoutModel::Fail };
+        block_on(answer(&scene, Ask { review: Some(review), ..Ask::of(Question::of(query)) })).unwrap();
+        let shown = model.shown.lock().unwrap();
+        shown.iter().filter(|name| name.starts_with("photograph-")).count()
+    };
+    assert_eq!(shown("the accordion", Options::default()), 1, "nothing in the room fits");
+    assert_eq!(shown("the red chair", Options::default()), 0, "two things do");
+    assert_eq!(shown("the accordion", Options { prompt: PromptVersion::Paper, ..Options::default() }), 0);
+    assert_eq!(shown("the accordion", Options { ablation: vlm::Ablation::SimplePrompt, ..Options::default() }), 0);
+}
+
+#[test]
+fn a_place_in_an_offered_photograph_is_one_in_its_frame() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = photographed(Utf8Path::from_path(folder.path()).unwrap());
+    let context = scene_view(&*scene, None);
+    let (_, context) = ground_with_context(context, &Question::of("the accordion"), parse("the accordion"), Duration::ZERO);
+    let photographs = vlm::offered(&*scene, &context, Options::default()).unwrap();
+    let offered = &photographs[0];
+    assert_eq!(
+        (offered.frame, offered.taken_px, offered.picture.width, offered.picture.height),
+        (FrameIndex(7), (1600, 1200), 768, 576)
+    );
+    let seen = crate::grounding::Seen { picture: "photograph-1".into(), at: [0.25, 0.5], name: "accordion".into() };
+    let evidence = vlm::VisualEvidence { photographs, ..vlm::VisualEvidence::default() };
+    let place = evidence.place(&*scene, &seen, &PictureSettings::of(Options::default())).unwrap().unwrap();
+    assert_eq!((place.frame, place.at), (FrameIndex(7), (400.0, 600.0)));
 }

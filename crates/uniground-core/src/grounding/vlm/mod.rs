@@ -11,16 +11,18 @@
 mod consistency;
 mod decision;
 pub mod naming;
+mod photographs;
 mod prompt;
 mod prompt_context;
 pub mod reply;
 mod visual_evidence;
 
 pub use decision::{Decision, Outcome};
+pub use photographs::offered;
 pub use prompt::{REMAINING, narrowing, reasoner_name};
 pub use prompt_context::{PromptAnchor, PromptCandidate, PromptContext};
 pub use uniground_types::question::{Ablation, EvidenceMode, PromptVersion};
-pub use visual_evidence::{PictureSettings, VisualEvidence, collect, contact_sheets};
+pub use visual_evidence::{Photograph, PictureSettings, VisualEvidence, collect, contact_sheets};
 
 use crate::models::chat::{AskError, ChatRequest, Part, Picture, Session};
 use prompt::Correction;
@@ -153,6 +155,7 @@ impl Conversation<'_> {
             Ablation::NoCandidate | Ablation::RawRender => {
                 shown.collages.clear();
                 shown.sheets.clear();
+                shown.photographs.clear();
             }
             Ablation::Full | Ablation::SimplePrompt | Ablation::NoLoop => {}
         }
@@ -170,7 +173,7 @@ impl Conversation<'_> {
                 let shows = !matches!(self.options.ablation, Ablation::NoCandidate | Ablation::RawRender);
                 let of_chosen = self.evidence.collages.get_key_value(id).filter(|_| shows);
                 let collages = of_chosen.map(|(id, p)| (*id, p.clone())).into_iter().collect();
-                VisualEvidence { global: shown.global.clone(), collages, sheets: shown.sheets.clone() }
+                VisualEvidence { collages, ..shown.clone() }
             }
             Correction::OutOfSet { .. } | Correction::Unreadable { .. } => shown.clone(),
         }

@@ -17,7 +17,7 @@ use std::fmt::Write;
 pub fn reasoner_name(model: &str, prompt: PromptVersion) -> String {
     let number = match prompt {
         PromptVersion::Paper => 2,
-        PromptVersion::Revised => 4,
+        PromptVersion::Revised => 5,
     };
     format!("{model} (prompt {number})")
 }
@@ -62,7 +62,8 @@ fn request(
 ) -> ChatRequest {
     let context = conversation.context;
     let (prompt, sheets) = (conversation.options.prompt, shown.sheets.iter().map(|(sheet, _)| sheet));
-    let pictures = shown.global.iter().chain(shown.collages.values()).chain(sheets);
+    let photographs = shown.photographs.iter().map(|photograph| &photograph.picture);
+    let pictures = shown.global.iter().chain(shown.collages.values()).chain(sheets).chain(photographs);
     let mut user: Vec<Part> = pictures.cloned().map(Part::Picture).collect();
     if conversation.options.is_simple() {
         let mut text = format!(
@@ -127,6 +128,18 @@ fn images(context: &PromptContext, shown: &VisualEvidence) -> String {
         let _ = write!(
             text,
             "\nImage {number} is a contact sheet: one photograph of each candidate under its ID, a yellow line around it, row by row: {ids}."
+        );
+    }
+    next += shown.sheets.len();
+    if let count @ 1.. = shown.photographs.len() {
+        let (numbers, verb) = match count {
+            1 => (format!("Image {next}"), "is a photograph"),
+            n => (format!("Images {next} to {}", next + n - 1), "are photographs"),
+        };
+        let _ = write!(
+            text,
+            "\n{numbers} {verb} of the room with nothing drawn in: the candidates fit the query badly, and what it asks for \
+             may be seen there without being listed."
         );
     }
     text.trim().to_owned()
@@ -289,7 +302,7 @@ fn what_was_wrong(context: &PromptContext, correction: &Correction) -> String {
 pub fn narrowing(context: &PromptContext, evidence: &VisualEvidence) -> ChatRequest {
     let mut user: Vec<Part> = evidence.sheets.iter().map(|(sheet, _)| Part::Picture(sheet.clone())).collect();
     let blocks = [
-        images(context, &VisualEvidence { global: None, collages: BTreeMap::new(), sheets: evidence.sheets.clone() }),
+        images(context, &VisualEvidence { sheets: evidence.sheets.clone(), ..VisualEvidence::default() }),
         anchors(context, PromptVersion::Revised).unwrap_or_default(),
         format!(
             "Candidates (metres, world frame, Z up):\n{}",

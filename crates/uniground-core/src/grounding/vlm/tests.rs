@@ -6,7 +6,7 @@ use crate::grounding::direction::Observer;
 use crate::grounding::{Grounding, NameIndex, Question, SceneView, Status, ground_with_context, query};
 use crate::models::attributes::{self, tests::thing};
 use crate::models::chat::{Part, Tokens};
-use crate::scene::{Instance, InstanceId, Support};
+use crate::scene::{FrameIndex, Instance, InstanceId, Support};
 use std::fmt::Write;
 use std::time::Duration;
 
@@ -51,6 +51,7 @@ fn evidence(context: &PromptContext) -> VisualEvidence {
             .map(|c| (c.id.0, picture(format!("candidate-{}", c.id), 1023, 512)))
             .collect(),
         sheets: Vec::new(),
+        photographs: Vec::new(),
     }
 }
 
@@ -238,6 +239,26 @@ fn contact_sheets_narrow_the_candidates_down() {
     let listed = |text: &str| reply::shortlist(text, |id| context.is_candidate(id));
     assert_eq!(listed(&format!("I see.\nShortlist: ID {}, 999, {} and {}", ids[1], ids[0], ids[1])), [ids[1], ids[0]]);
     assert_eq!(listed("Shortlist: none"), [] as [u32; 0]);
+}
+
+#[test]
+fn photographs_are_offered_after_everything_else() {
+    let (_, context) = asked(QUERY, None);
+    let photograph = |number: u32| Photograph {
+        frame: FrameIndex(10 * number),
+        taken_px: (1280, 960),
+        picture: Picture { name: format!("photograph-{number}"), jpeg: Vec::new().into(), width: 768, height: 576 },
+    };
+    let request = |photographs: Vec<Photograph>, ablation| {
+        let evidence = VisualEvidence { photographs, ..evidence(&context) };
+        let options = Options { ablation, ..Options::default() };
+        Conversation { context: &context, evidence: &evidence, options, names: BTreeMap::new(), unnamed: None }.first_request()
+    };
+    matches_snapshot("photographs", &written(&request(vec![photograph(1), photograph(2)], Ablation::Full)));
+    let one = written(&request(vec![photograph(1)], Ablation::Full));
+    assert!(one.contains(&format!("Image {} is a photograph of the room", context.candidates.len() + 2)), "{one}");
+    let without = written(&request(vec![photograph(1)], Ablation::NoCandidate));
+    assert!(!without.contains("photograph-1") && !without.contains("is a photograph of the room"), "{without}");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use crate::grounding::Seen;
 use crate::grounding::scene_source::SceneSource;
 use crate::models::chat::Picture;
 use crate::render::{Collage, GlobalView, ROOM_VIEW, RenderScene, Shot, jpeg, scene_picture};
-use crate::scene::InstanceId;
+use crate::scene::{FrameIndex, InstanceId};
 use crate::scene_parsing::pointed::Place;
 use image::RgbImage;
 use rayon::prelude::*;
@@ -21,6 +21,19 @@ pub struct VisualEvidence {
     pub collages: BTreeMap<u32, Picture>,
     /// Contact sheets, each with the ids on it; in place of collages.
     pub sheets: Vec<(Picture, Vec<u32>)>,
+    /// Photographs in which the target may be seen, where the candidates do not fit it.
+    pub photographs: Vec<Photograph>,
+}
+
+/// A photograph as it was taken, offered for what it may show.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Photograph {
+    /// The frame it was taken with.
+    pub frame: FrameIndex,
+    /// Width and height of the frame's picture, pixels.
+    pub taken_px: (u32, u32),
+    /// The same picture, or a smaller copy.
+    pub picture: Picture,
 }
 
 /// How large pictures are. Pictures cost money: a provider charges by the tile.
@@ -118,6 +131,10 @@ impl VisualEvidence {
     /// # Errors
     /// The cloud can not be read.
     pub fn place<S: SceneSource>(&self, source: &S, seen: &Seen, settings: &PictureSettings) -> Result<Option<Place>, S::Error> {
+        let share = |(width, height): (u32, u32)| (seen.at[0] * width as f32, seen.at[1] * height as f32);
+        if let Some(Photograph { frame, taken_px, .. }) = self.photographs.iter().find(|offered| offered.picture.name == seen.picture) {
+            return Ok(Some(Place { frame: *frame, at: share(*taken_px) }));
+        }
         let of_candidate = self.collages.iter().find(|(_, picture)| picture.name == seen.picture);
         let of_sheet = self.sheets.iter().find(|(picture, _)| picture.name == seen.picture);
         let (picture, tiles) = match (of_candidate, settings.collage, of_sheet) {
@@ -131,7 +148,7 @@ impl VisualEvidence {
             }
             _ => return Ok(None),
         };
-        let at = (seen.at[0] * picture.width as f32, seen.at[1] * picture.height as f32);
+        let at = share((picture.width, picture.height));
         Ok(tiles.iter().find_map(|tile| Some(Place { frame: tile.frame, at: tile.place(at)? })))
     }
 }

@@ -1,0 +1,116 @@
+//! What frames look like as a whole, as vectors beside which words can be laid: for what is in no instance.
+
+use super::{Embeddings, FrameIndex, npy};
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+
+/// Some frames of a scan, each with the vectors of several crops.
+#[derive(Debug, Clone, PartialEq)]
+pub struct FrameEmbeddings {
+    /// The frame of every row.
+    of_row: Vec<FrameIndex>,
+    rows: Embeddings,
+}
+
+impl FrameEmbeddings {
+    /// `rows` holds one vector of length `dim` for each entry of `of_row`.
+    #[must_use]
+    pub fn new(dim: usize, of_row: Vec<FrameIndex>, rows: &[f32]) -> Self {
+        Self { of_row, rows: Embeddings::new(dim, rows) }
+    }
+
+    /// The frames of which a crop is nearest to a unit vector, the nearest first. Of frames that follow each other only the better one: they
+    /// show the same.
+    ///
+    /// # Panics
+    /// When `query` has another dimension.
+    #[must_use]
+    pub fn nearest(&self, query: &[f32], most: usize) -> Vec<FrameIndex> {
+        let mut of_frame: BTreeMap<FrameIndex, f32> = BTreeMap::new();
+        for (frame, cosine) in self.of_row.iter().zip(self.rows.cosines(query)) {
+            let best = of_frame.entry(*frame).or_insert(cosine);
+            *best = best.max(cosine);
+        }
+        let mut ranked: Vec<(usize, FrameIndex, f32)> =
+            of_frame.into_iter().enumerate().map(|(at, (frame, best))| (at, frame, best)).collect();
+        ranked.sort_by(|(a, _, best_a), (b, _, best_b)| best_b.total_cmp(best_a).then(a.cmp(b)));
+        let mut chosen: Vec<(usize, FrameIndex)> = Vec::new();
+        for (at, frame, _) in ranked {
+            if chosen.len() < most && chosen.iter().all(|(other, _)| other.abs_diff(at) > 1) {
+                chosen.push((at, frame));
+            }
+        }
+        chosen.into_iter().map(|(_, frame)| frame).collect()
+    }
+
+    /// Number of crops.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.of_row.len()
+    }
+
+    /// Whether there are no crops.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.of_row.is_empty()
+    }
+
+    /// The vectors as a numpy array of half floats, one row per crop.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn write_rows(&self, out: impl Write) -> io::Result<()> {
+        self.rows.write_rows(out)
+    }
+
+    /// The frame of every row as a numpy array of one column.
+    ///
+    /// # Errors
+    /// Those of `out`.
+    pub fn write_frames(&self, out: impl Write) -> io::Result<()> {
+        npy::write(out, "<u4", [self.of_row.len(), 1], self.of_row.iter().flat_map(|frame| frame.0.to_le_bytes()))
+    }
+
+    /// Reads back what was written.
+    ///
+    /// # Errors
+    /// Files that are no such arrays, or do not belong together.
+    pub fn read(rows: &[u8], frames: &[u8]) -> io::Result<Self> {
+        let ([count, dim], rows) = npy::read(rows, "<f2")?;
+        let ([of, one], frames) = npy::read(frames, "<u4")?;
+        if one != 1 || of != count || dim == 0 {
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "embeddings of frames and their frames do not belong together"));
+        }
+        let of_row = frames.as_chunks::<4>().0.iter().map(|bytes| FrameIndex(u32::from_le_bytes(*bytes))).collect();
+        Ok(Self { of_row, rows: Embeddings::of_halves(dim, rows) })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Frames 0, 10, 20, 30, each with two crops; the second crop of frame 20 is nearest to x, then those of 30, 0 and 10.
+    fn some() -> FrameEmbeddings {
+        let of_row = [0, 0, 10, 10, 20, 20, 30, 30].map(FrameIndex).to_vec();
+        let x = [0.5, 0.1, 0.0, 0.2, -1.0, 0.9, 0.8, 0.8];
+        let rows: Vec<f32> = x.iter().flat_map(|&x: &f32| [x, (1.0 - x * x).sqrt()]).collect();
+        FrameEmbeddings::new(2, of_row, &rows)
+    }
+
+    #[test]
+    fn the_nearest_crop_counts_and_neighbours_are_passed_over() {
+        let nearest = |most| some().nearest(&[1.0, 0.0], most).into_iter().map(|frame| frame.0).collect::<Vec<_>>();
+        assert_eq!((nearest(1), nearest(2), nearest(9)), (vec![20], vec![20, 0], vec![20, 0]));
+    }
+
+    #[test]
+    fn what_is_written_is_read_back() {
+        let (mut rows, mut frames) = (Vec::new(), Vec::new());
+        some().write_rows(&mut rows).unwrap();
+        some().write_frames(&mut frames).unwrap();
+        assert_eq!(FrameEmbeddings::read(&rows, &frames).unwrap(), some());
+        assert!(FrameEmbeddings::read(&frames, &rows).is_err());
+        assert!(FrameEmbeddings::read(&rows[..rows.len() - 4], &frames).is_err());
+    }
+}
