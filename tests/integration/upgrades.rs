@@ -67,9 +67,12 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     expected["settings"]["parsing"]["sam_masks"]["prompts"] = "grid".into();
     expected["settings"]["parsing"]["sam_masks"]["wholes"] = false.into();
     expected["settings"]["parsing"]["correction"]["known_agreement"] = Value::Null;
+    expected["settings"]["parsing"]["appearance"]["frames"] = 0.into();
     expected["settings"]["parsing"]["instances"]["min_agreement"] = 0.0.into();
     expected["settings"]["parsing"]["instances"]["min_points"] = 0.into();
     expected["settings"]["parsing"]["instances"]["parts_and_wholes"] = 0.0.into();
+    expected["scene_to_map"] = Value::Null;
+    expected["map_frame_id"] = Value::Null;
     expected["import"]["levelling"] = Value::Null;
     expected["import"]["source_to_scene"] = Value::Null;
     expected["report"]["dropped"] = 0.into();

@@ -369,7 +369,7 @@ fn a_model_is_evaluated_and_its_answers_are_kept() {
     let calls = |cell: &Value| cell["figures"]["vlm_calls"].as_f64().unwrap();
     assert_eq!((cells.len(), calls(&cells[0])), (4, 0.0));
     assert!(calls(&cells[2]) >= 1.0 && cells[2]["figures"]["cost_usd"].as_f64().unwrap() > 0.0, "{}", cells[2]["figures"]);
-    assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 4)");
+    assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 5)");
     assert!(script.take().iter().any(|body| pictures_of(body) >= 6), "annotated instances have photographs");
 
     let (output, replayed) = eval(

@@ -67,6 +67,7 @@ def test_every_field_of_a_question_is_taken(scene: Scene) -> None:
         "candidates": "fused",
         "direction_convention": "viewer",
         "evidence": "full",
+        "frame": "source",
         "include": ["candidates", "evidence", "trace"],
         "max_cost_usd": 0.0,
         "min_confidence": 0.1,
@@ -83,6 +84,8 @@ def test_every_field_of_a_question_is_taken(scene: Scene) -> None:
     assert answer.direction_convention == "observer"
     assert answer.candidates is not None
     assert len(answer.candidates) == 2
+    assert answer.in_frame is not None
+    assert (answer.in_frame.frame, len(answer.in_frame.boxes)) == ("source", len(answer.targets))
     assert scene.ask("the sofa", include=[]).candidates is None
 
 

@@ -24,6 +24,7 @@ fn without_steps_of_today(stored: &mut Value) {
         ("/parsing/sam_masks", "prompts", Value::from("grid")),
         ("/parsing/sam_masks", "wholes", Value::Bool(false)),
         ("/parsing/correction", "known_agreement", Value::Null),
+        ("/parsing/appearance", "frames", Value::from(0)),
         ("/parsing/instances", "min_agreement", Value::from(0.0)),
         ("/parsing/instances", "min_points", Value::from(0)),
         ("/parsing/instances", "parts_and_wholes", Value::from(0.0)),
