@@ -8,9 +8,9 @@ use uniground_types::scene::SourceToScene;
 
 /// Coordinates other than the scene's.
 pub(super) struct Frame {
-    frame: FrameChoice,
-    frame_id: Option<String>,
-    pub to_frame: SceneToFrame,
+    choice: FrameChoice,
+    id: Option<String>,
+    pub from_scene: SceneToFrame,
 }
 
 impl Frame {
@@ -19,7 +19,7 @@ impl Frame {
     /// # Errors
     /// [`Error::NoMap`], [`Error::NoSourceFrame`].
     pub fn of(choice: FrameChoice, scene: &SceneRow, source_to_scene: Option<SourceToScene>) -> Result<Option<Self>, Error> {
-        let (frame_id, to_frame) = match choice {
+        let (id, from_scene) = match choice {
             FrameChoice::Scene => return Ok(None),
             FrameChoice::Source => {
                 let source = source_to_scene.ok_or_else(|| Error::NoSourceFrame { scene_id: scene.id.clone() })?;
@@ -30,12 +30,12 @@ impl Frame {
                 (scene.map_frame_id.clone(), SceneToFrame::to_map(&map))
             }
         };
-        Ok(Some(Self { frame: choice, frame_id, to_frame }))
+        Ok(Some(Self { choice, id, from_scene }))
     }
 
     /// With the boxes of these.
     pub fn holding(self, targets: &[Target]) -> InFrame {
-        let boxes = targets.iter().map(|target| self.to_frame.place(target.id, &target.oriented_box)).collect();
-        InFrame { frame: self.frame, frame_id: self.frame_id, scene_to_frame: self.to_frame, boxes }
+        let boxes = targets.iter().map(|target| self.from_scene.place(target.id, &target.oriented_box)).collect();
+        InFrame { frame: self.choice, frame_id: self.id, scene_to_frame: self.from_scene, boxes }
     }
 }

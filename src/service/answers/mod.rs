@@ -84,7 +84,7 @@ impl Service {
         let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         let frame = Frame::of(request.frame, &scene, source.parse.source_to_scene)?;
         let request = match &frame {
-            Some(frame) => GroundRequest { observer: request.observer.map(|observer| frame.to_frame.observer(&observer)), ..request },
+            Some(frame) => GroundRequest { observer: request.observer.map(|observer| frame.from_scene.observer(&observer)), ..request },
             None => request,
         };
         // A place among those who wait for the model, for as long as the question takes.

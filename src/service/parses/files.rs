@@ -72,15 +72,14 @@ pub fn photograph(parse: &Utf8Path, frame: FrameIndex) -> Utf8PathBuf {
 /// read.
 pub fn read_photograph(parse: &Utf8Path, content: &Utf8Path, frame: FrameIndex) -> Option<RgbImage> {
     let kept = photograph(parse, frame);
-    let picture = match kept.exists() {
-        true => fs::read(&kept)
+    let picture = if kept.exists() {
+        fs::read(&kept)
             .map_err(|error| error.to_string())
             .and_then(|bytes| image::load_from_memory(&bytes).map_err(|error| error.to_string()))
-            .map(image::DynamicImage::into_rgb8),
-        false => {
-            let frames = read_frames(parse, content).ok()??;
-            frames.into_iter().find(|of| of.index == frame)?.decode_colour().map_err(|error| error.to_string())
-        }
+            .map(image::DynamicImage::into_rgb8)
+    } else {
+        let frames = read_frames(parse, content).ok()??;
+        frames.into_iter().find(|of| of.index == frame)?.decode_colour().map_err(|error| error.to_string())
     };
     picture.inspect_err(|error| tracing::warn!(%kept, error, "a photograph can not be read")).ok()
 }
