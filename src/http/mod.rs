@@ -1,6 +1,7 @@
 //! The HTTP face: decode, authorise, call one service function, encode. One file per resource.
 
 mod answers;
+mod approach;
 mod auth;
 mod batches;
 mod caching;
@@ -117,6 +118,9 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(jobs::events))
         .routes(routes!(grounding::ground))
         .routes(routes!(grounding::shortlist))
+        .routes(routes!(approach::approach))
+        .routes(routes!(approach::floor))
+        .routes(routes!(approach::floor_picture))
         .routes(routes!(batches::create, batches::list))
         .routes(routes!(batches::get))
         .routes(routes!(batches::results))

@@ -5,6 +5,7 @@
 
 mod announcing;
 mod answers;
+mod approach;
 mod batches;
 mod corrections;
 mod doctor;

@@ -6,6 +6,7 @@
 #![allow(clippy::too_many_lines)]
 
 mod access;
+mod approach;
 mod archives;
 mod backups;
 mod bad_input;

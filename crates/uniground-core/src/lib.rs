@@ -9,6 +9,7 @@
 
 #![warn(missing_docs)]
 
+pub mod approach;
 pub mod background;
 pub mod geometry;
 pub mod grounding;

@@ -7,6 +7,7 @@
 #![warn(missing_docs)]
 
 pub mod answer;
+pub mod approach;
 pub mod batch;
 pub mod corrections;
 pub mod geometry;

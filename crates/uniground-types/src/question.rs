@@ -335,7 +335,7 @@ impl GroundRequest {
     }
 }
 
-fn check_query(query: &str) -> Result<(), FieldError> {
+pub(crate) fn check_query(query: &str) -> Result<(), FieldError> {
     let characters = query.chars().count();
     if query.trim().is_empty() {
         return Err(FieldError::new("/query", "must not be empty"));

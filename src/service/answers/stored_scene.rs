@@ -9,12 +9,14 @@ use image::RgbImage;
 use std::collections::BTreeMap;
 use std::fs;
 use std::sync::Arc;
+use uniground_core::approach::Occupancy;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::pipeline::SceneSource;
 use uniground_core::grounding::{NameIndex, PictureCache};
 use uniground_core::ingest::{self, IngestError};
 use uniground_core::models::neural::{DualEncoder, Role};
 use uniground_core::models::{attributes, with_causes};
+use uniground_core::recent::Recent;
 use uniground_core::render::{RenderScene, Shot};
 use uniground_core::scene::{Embeddings, FrameEmbeddings, FrameIndex, Instance, InstanceId, View};
 use uniground_core::scene_parsing::ParseError;
@@ -44,6 +46,11 @@ impl StoredScene {
     /// A folder of its own for as long as somebody holds it.
     pub fn scratch(&self) -> Result<Scratch, Error> {
         Ok(self.service.store.blobs.scratch()?)
+    }
+
+    /// What of the room is occupied, of parses asked about lately.
+    pub fn known_occupancies(&self) -> &Recent<Arc<Occupancy>> {
+        &self.service.parses.occupancies
     }
 
     pub fn folder(&self) -> Utf8PathBuf {

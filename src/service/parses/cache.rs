@@ -5,6 +5,7 @@ use camino::Utf8PathBuf;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::SystemTime;
+use uniground_core::approach::Occupancy;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::NameIndex;
 use uniground_core::recent::Recent;
@@ -39,6 +40,8 @@ pub struct LoadedParse {
 const PARSES: usize = 64;
 /// Points of clouds that stay in memory, 17 bytes each.
 const POINTS: usize = 8_000_000;
+/// Bytes of columns that stay in memory, for places to stand: 16 a cell of the floor and 8 an occupied voxel.
+const OCCUPANCY_BYTES: usize = 128 << 20;
 /// Folders with points that were made since the start; each is as large as the scene's cloud.
 const MADE: usize = 16;
 /// Files whose state is remembered.
@@ -50,6 +53,8 @@ pub struct ParseCache {
     /// How often something that was loaded has changed since.
     changes: Mutex<u64>,
     pub render_scenes: Recent<Arc<RenderScene>>,
+    /// What of the room is occupied. Corrections change nothing of it: it is of the points as they were cut.
+    pub occupancies: Recent<Arc<Occupancy>>,
     /// Files that were found to be what was written, by path: their size and time then.
     pub sound: Recent<(u64, SystemTime)>,
     /// Points of parses from before they were kept.
@@ -62,6 +67,7 @@ impl Default for ParseCache {
             loaded: Recent::new(PARSES),
             changes: Mutex::default(),
             render_scenes: Recent::new(POINTS),
+            occupancies: Recent::new(OCCUPANCY_BYTES),
             sound: Recent::new(FILES),
             points: Recent::new(MADE),
         }

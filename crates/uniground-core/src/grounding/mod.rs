@@ -165,3 +165,6 @@ fn decided<'a>(scene: SceneView<'a>, question: &Question, mut parsed: query::Par
     let grounding = answer::assemble(scene, question, &parsed, verdict, timings_ms);
     (Decided { assessor, parsed, scores, beliefs }, grounding)
 }
+
+#[cfg(test)]
+mod driving;

@@ -65,3 +65,16 @@ fn on_paper(drawn: &Splats) -> RgbImage {
     }
     picture
 }
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+    use crate::geometry::Point3;
+
+    /// What somebody sees who looks from one point at another: the camera, and the depth of each pixel of 640 x 480 in metres.
+    pub fn seen_from(scene: &RenderScene, eye: &Point3<f32>, at: &Point3<f32>) -> (Camera, image::RgbaImage, Vec<f32>) {
+        let camera = Camera::new(camera::uncalibrated(640, 480), &camera::look_at(eye, at, 0.0));
+        let Splats { picture, depth_m, .. } = scene.drawn_with_ceiling(&camera);
+        (camera, picture, depth_m)
+    }
+}

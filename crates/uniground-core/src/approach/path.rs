@@ -1,0 +1,149 @@
+//! Shortest ways over free cells: eight neighbours, never diagonally past a corner.
+//!
+//! One search from the start (Dijkstra's, with buckets for its whole costs) gives the ways to all poses at once and tells what can not be
+//! reached; a search per pose would look at the same cells again. Costs are whole numbers, so that nothing depends on rounding.
+
+use super::occupancy::Grid;
+
+/// Costs of a step along an axis and of a diagonal one: 99 / 70 is the square root of 2 to 5 digits.
+const STRAIGHT: u32 = 70;
+const DIAGONAL: u32 = 99;
+const BUCKETS: usize = 128;
+
+/// Free cells; those at the rim of the grid are never free.
+pub(super) struct FreeCells<'a> {
+    pub grid: &'a Grid,
+    pub free: Vec<bool>,
+}
+
+/// What every cell costs to get to from one.
+pub(super) struct Ways {
+    costs: Vec<u32>,
+    /// The cell before it on the way.
+    before: Vec<u32>,
+}
+
+impl FreeCells<'_> {
+    /// Cells a step away, and what the step costs.
+    fn steps(&self, cell: usize) -> impl Iterator<Item = (usize, u32)> {
+        let width = self.grid.width;
+        let [east, west, north, south] = [cell + 1, cell - 1, cell + width, cell - width];
+        let straight = [east, west, north, south].map(|to| (to, [to, to], STRAIGHT));
+        let diagonal = [(north + 1, [north, east]), (north - 1, [north, west]), (south + 1, [south, east]), (south - 1, [south, west])];
+        let all = straight.into_iter().chain(diagonal.map(|(to, past)| (to, past, DIAGONAL)));
+        all.filter(|&(to, [a, b], _)| self.free[to] && self.free[a] && self.free[b])
+            .map(|(to, _, cost)| (to, cost))
+    }
+
+    /// All ways from a free cell.
+    pub fn ways_from(&self, start: usize) -> Ways {
+        let mut ways = Ways { costs: vec![u32::MAX; self.free.len()], before: vec![u32::MAX; self.free.len()] };
+        let mut buckets: Vec<Vec<usize>> = vec![Vec::new(); BUCKETS];
+        ways.costs[start] = 0;
+        buckets[0].push(start);
+        let (mut waiting, mut cost) = (1_usize, 0_u32);
+        while waiting > 0 {
+            let bucket = std::mem::take(&mut buckets[cost as usize % BUCKETS]);
+            waiting -= bucket.len();
+            for cell in bucket.into_iter().filter(|&cell| ways.costs[cell] == cost).collect::<Vec<_>>() {
+                for (to, step) in self.steps(cell) {
+                    let reached = cost + step;
+                    if reached < ways.costs[to] {
+                        (ways.costs[to], ways.before[to]) = (reached, cell as u32);
+                        buckets[reached as usize % BUCKETS].push(to);
+                        waiting += 1;
+                    }
+                }
+            }
+            cost += 1;
+        }
+        ways
+    }
+
+    /// The largest area of free cells that hang together and hold one of `wanted`, as flags by cell; the first of equals.
+    pub fn largest_area(&self, wanted: &[usize]) -> Vec<bool> {
+        let mut area_of = vec![u32::MAX; self.free.len()];
+        let mut best = (0_usize, u32::MAX);
+        for (number, &seed) in wanted.iter().enumerate() {
+            if !self.free[seed] || area_of[seed] != u32::MAX {
+                continue;
+            }
+            let (mut open, mut size) = (vec![seed], 0);
+            area_of[seed] = number as u32;
+            while let Some(cell) = open.pop() {
+                size += 1;
+                // A diagonal step goes past two free cells, so these four tell the same areas apart.
+                for to in [cell + 1, cell - 1, cell + self.grid.width, cell - self.grid.width] {
+                    if self.free[to] && area_of[to] == u32::MAX {
+                        area_of[to] = number as u32;
+                        open.push(to);
+                    }
+                }
+            }
+            if size > best.0 {
+                best = (size, number as u32);
+            }
+        }
+        area_of.into_iter().map(|area| area != u32::MAX && area == best.1).collect()
+    }
+
+    /// Whether the straight line between the middles of two cells touches free cells only.
+    fn is_straight(&self, from: usize, to: usize) -> bool {
+        let place = |cell| {
+            let (column, row) = self.grid.place(cell);
+            (column as i64, row as i64)
+        };
+        let ((mut x, mut y), (to_x, to_y)) = (place(from), place(to));
+        let (dx, dy) = ((to_x - x).abs(), (to_y - y).abs());
+        let (step_x, step_y) = ((to_x - x).signum(), (to_y - y).signum());
+        let free = |x: i64, y: i64| self.free[y as usize * self.grid.width + x as usize];
+        let mut error = dx - dy;
+        loop {
+            if !free(x, y) {
+                return false;
+            }
+            if (x, y) == (to_x, to_y) {
+                return true;
+            }
+            match error.signum() {
+                1 => (x, error) = (x + step_x, error - 2 * dy),
+                -1 => (y, error) = (y + step_y, error + 2 * dx),
+                // Through a corner: both cells beside it are touched.
+                _ if !free(x + step_x, y) || !free(x, y + step_y) => return false,
+                _ => (x, y, error) = (x + step_x, y + step_y, error + 2 * (dx - dy)),
+            }
+        }
+    }
+
+    /// A way with its corners only: what lies on a straight line between two of its cells is left out.
+    pub fn corners(&self, way: &[usize]) -> Vec<usize> {
+        let mut corners: Vec<usize> = way.first().copied().into_iter().collect();
+        let mut at = 0;
+        while at + 1 < way.len() {
+            let straight = (at + 1..way.len()).take_while(|&to| self.is_straight(way[at], way[to]));
+            at = straight.last().unwrap_or(at + 1);
+            corners.push(way[at]);
+        }
+        corners
+    }
+}
+
+impl Ways {
+    /// Whether there is a way.
+    pub fn reaches(&self, cell: usize) -> bool {
+        self.costs[cell] != u32::MAX
+    }
+
+    /// Length of the way over cells, metres.
+    pub fn length_m(&self, cell: usize, grid: &Grid) -> f32 {
+        self.costs[cell] as f32 / STRAIGHT as f32 * grid.cell_m
+    }
+
+    /// The cells from the start to one that is reached.
+    pub fn way_to(&self, cell: usize) -> Vec<usize> {
+        let before = |cell: &usize| self.before.get(*cell).filter(|&&before| before != u32::MAX).map(|&before| before as usize);
+        let mut way: Vec<usize> = std::iter::successors(Some(cell), before).collect();
+        way.reverse();
+        way
+    }
+}

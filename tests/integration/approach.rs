@@ -1,0 +1,151 @@
+//! From a question to a place to stand, and the map of the floor.
+
+use crate::archives::Scan;
+use crate::server::{TestServer, post_raw, problem};
+use uniground_core::grounding::Status;
+use uniground_core::scene::InstanceId;
+use uniground_types::approach::{ApproachRequest, ApproachStatus, FailedCondition, FloorPoint, Robot};
+use uniground_types::corrections::Change;
+use uniground_types::instances::Levels;
+
+const ROBOT: Robot = Robot { radius_m: 0.2, height_m: 1.3, eye_height_m: 1.2, reach_m: None };
+
+fn asking(query: &str) -> ApproachRequest {
+    ApproachRequest { from: Some(FloorPoint { x: 1.95, y: 0.0 }), ..ApproachRequest::asking(query, ROBOT) }
+}
+
+#[tokio::test]
+async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let client = &server.client;
+    let told = client.approach(&scene.id, &asking("the mug on the coffee table")).await.unwrap();
+    assert_eq!(
+        (told.status, told.answer_status, told.failed),
+        (ApproachStatus::Found, Some(Status::Grounded), None),
+        "{told:?}"
+    );
+    let (target, best) = (told.target.clone().unwrap(), &told.poses[0]);
+    assert_eq!(
+        client.answer(&told.answer_id.clone().unwrap()).await.unwrap().answer.predicted_id,
+        Some(target.id),
+        "it is kept"
+    );
+    let [x, y, _] = best.position;
+    let (to_x, to_y) = (target.aabb.center.x - x, target.aabb.center.y - y);
+    assert!(to_x.hypot(to_y) < 2.6 && (to_y.atan2(to_x) - best.yaw_rad).abs() < 0.2, "{told:?}");
+    assert!(
+        best.visible_share > 0.5 && best.path_m.unwrap() > 0.5 && best.clearance_m.unwrap() >= ROBOT.radius_m,
+        "{best:?}"
+    );
+    let (start, end) = (told.start.unwrap(), best.path.last().unwrap());
+    assert!(best.path[0] == [start.x, start.y] && *end == [x, y] && start.moved_m < 0.05, "{told:?}");
+
+    // The map is where map_server puts it: its lower left corner at the origin, its first row the greatest y.
+    let map = client.floor(&scene.id, ROBOT.height_m).await.unwrap();
+    let png = client
+        .bytes(&format!("/v1/scenes/{}/floor.png?height_m={}", scene.id, ROBOT.height_m))
+        .await
+        .unwrap();
+    let picture = image::load_from_memory(&png).unwrap().into_luma8();
+    assert_eq!(picture.dimensions(), (map.width, map.height));
+    let shade = |x: f32, y: f32| {
+        let [column, row] = [x - map.origin[0], y - map.origin[1]].map(|at| (at / map.resolution) as u32);
+        picture.get_pixel(column, map.height - 1 - row).0[0]
+    };
+    for pose in &told.poses {
+        assert_eq!(shade(pose.position[0], pose.position[1]), 254, "{pose:?}");
+        assert!(pose.path.iter().all(|at| shade(at[0], at[1]) == 254), "{pose:?}");
+    }
+    assert_eq!(shade(target.aabb.center.x, target.aabb.center.y), 0, "a table stands there");
+
+    // By its id it is the same; an arm that is too short is told of.
+    let by_id = ApproachRequest { instance_id: Some(target.id), query: None, ..asking("") };
+    let again = client.approach(&scene.id, &by_id).await.unwrap();
+    assert_eq!((again.poses, again.answer_id, again.answer_status), (told.poses.clone(), None, None));
+    let short = ApproachRequest { robot: Robot { reach_m: Some(0.01), ..ROBOT }, ..by_id.clone() };
+    let none = client.approach(&scene.id, &short).await.unwrap();
+    assert_eq!((none.status, none.failed), (ApproachStatus::NonePossible, Some(FailedCondition::OutOfReach)), "{none:?}");
+    assert!(none.poses.is_empty() && none.detail.contains("out of reach") && none.cells.unwrap().connected > 0, "{none:?}");
+
+    // What people have said counts.
+    client
+        .correct(&scene.id, &Change::Rename { instance_id: target.id, name: "Grandma's cup".into() })
+        .await
+        .unwrap();
+    let renamed = client.approach(&scene.id, &asking("the cup")).await.unwrap();
+    assert_eq!(renamed.target.as_ref().map(|target| &*target.name), Some("Grandma's cup"), "{renamed:?}");
+    assert!(renamed.poses[0].why.contains("Grandma's cup"), "{renamed:?}");
+    client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![target.id] }).await.unwrap();
+    let refused = problem(client.approach(&scene.id, &by_id).await);
+    assert_eq!(
+        (refused.status, refused.code.as_str(), refused.errors[0].pointer.as_str()),
+        (422, "invalid_request", "/instance_id")
+    );
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn things_that_were_merged_are_approached_as_one() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let client = &server.client;
+    let things = client.all_instances(&scene.id, Levels::Things).await.unwrap();
+    let ids: Vec<InstanceId> = things.iter().filter(|thing| thing.structure.is_none()).take(2).map(|thing| thing.id).collect();
+    let made = client
+        .correct(&scene.id, &Change::Merge { instance_ids: ids, name: Some("pair".into()) })
+        .await
+        .unwrap();
+    let told = client.approach(&scene.id, &ApproachRequest::to(made.made.unwrap(), ROBOT)).await.unwrap();
+    assert_eq!((told.status, told.target.unwrap().name.as_str()), (ApproachStatus::Found, "pair"), "{:?}", told.detail);
+    assert!(told.poses.iter().all(|pose| pose.path_m.is_none() && pose.path.is_empty()), "{:?}", told.poses);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn nothing_is_driven_to_on_a_guess_and_wrong_requests_are_named() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    let client = &server.client;
+    let told = client.approach(&scene.id, &ApproachRequest::asking("the theremin", ROBOT)).await.unwrap();
+    assert_eq!((told.status, told.answer_status), (ApproachStatus::NotGrounded, Some(Status::NoMatch)));
+    assert!(
+        told.poses.is_empty() && told.target.is_none() && told.answer_id.is_some() && told.detail.contains("guess"),
+        "{told:?}"
+    );
+    let nowhere = ApproachRequest { from: Some(FloorPoint { x: 900.0, y: 0.0 }), ..ApproachRequest::to(InstanceId(1), ROBOT) };
+    assert_eq!(client.approach(&scene.id, &nowhere).await.unwrap().failed, Some(FailedCondition::StartNotFree));
+
+    let path = format!("v1/scenes/{}/approach", scene.id);
+    let robot = r#""robot": {"radius_m": 0.2, "height_m": 1.3, "eye_height_m": 1.2}"#;
+    for (body, status, code, pointer) in [
+        (format!("{{{robot}}}"), 422, "invalid_request", Some("")),
+        (format!(r#"{{"instance_id": 1, "query": "the sofa", {robot}}}"#), 422, "invalid_request", Some("")),
+        (format!(r#"{{"query": " ", {robot}}}"#), 422, "invalid_request", Some("/query")),
+        (format!(r#"{{"instance_id": 1, "max_poses": 0, {robot}}}"#), 422, "invalid_request", Some("/max_poses")),
+        (format!(r#"{{"instance_id": 1, "from": {{"x": 1}}, {robot}}}"#), 422, "invalid_request", Some("/from")),
+        (format!(r#"{{"instance_id": 1, "form": null, {robot}}}"#), 422, "invalid_request", Some("/form")),
+        (
+            r#"{"instance_id": 1, "robot": {"radius_m": 0.2, "height_m": 1.3, "eye_height_m": 1.4}}"#.into(),
+            422,
+            "invalid_request",
+            Some("/robot/eye_height_m"),
+        ),
+        (format!(r#"{{"instance_id": 0, {robot}}}"#), 404, "instance_not_found", None),
+        (format!(r#"{{"instance_id": 9999, {robot}}}"#), 404, "instance_not_found", None),
+    ] {
+        let refusal = post_raw(client, &path, "application/json", &body).await;
+        assert_eq!((refusal.status, refusal.code.as_str()), (status, code), "{body}: {}", refusal.detail);
+        if let Some(pointer) = pointer {
+            assert_eq!(refusal.errors[0].pointer, pointer, "{body}: {}", refusal.detail);
+        }
+    }
+    for query in ["height_m=0", "height_m=9", "height=1"] {
+        let refusal = problem(client.bytes(&format!("v1/scenes/{}/floor.png?{query}", scene.id)).await);
+        assert_eq!((refusal.status, refusal.code.as_str()), (422, "invalid_request"), "{query}: {}", refusal.detail);
+    }
+    let nobody = "018f0000-0000-7000-8000-000000000000";
+    assert_eq!(problem(client.floor(nobody, 1.0).await).code, "scene_not_found");
+    assert_eq!(problem(client.approach(nobody, &asking("the sofa")).await).code, "scene_not_found");
+    server.stop().await;
+}
