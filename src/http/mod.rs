@@ -9,6 +9,7 @@ mod connections;
 mod corrections;
 mod description;
 mod extract;
+mod graph;
 mod grounding;
 mod health;
 mod hosts;
@@ -110,6 +111,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(instances::list))
         .routes(routes!(instances::get))
         .routes(routes!(instances::view))
+        .routes(routes!(graph::get))
         .routes(routes!(corrections::create, corrections::list))
         .routes(routes!(corrections::undo))
         .routes(routes!(corrections::annotations))

@@ -26,7 +26,7 @@ pub use batches::{BatchJob, Body, Results, Submission};
 pub use corrections::GroundTruth;
 pub use doctor::{Finding, Trouble};
 pub use health::Health;
-pub use instances::EvidenceFile;
+pub use instances::{EvidenceFile, written};
 pub use keys::{Allowance, Caller, Denied, Done, Keyring, LINK_PARAMETER, LinkSecret};
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};

@@ -7,11 +7,13 @@ use uniground_core::scene::InstanceId;
 use uniground_types::approach::{ApproachRequest, ApproachStatus, FailedCondition, FloorPoint, Robot};
 use uniground_types::corrections::Change;
 use uniground_types::instances::Levels;
+use uniground_types::placement::{FrameChoice, SceneToMap};
+use uniground_types::scenes::SceneChange;
 
 const ROBOT: Robot = Robot { radius_m: 0.2, height_m: 1.3, eye_height_m: 1.2, reach_m: None };
 
 fn asking(query: &str) -> ApproachRequest {
-    ApproachRequest { from: Some(FloorPoint { x: 1.95, y: 0.0 }), ..ApproachRequest::asking(query, ROBOT) }
+    ApproachRequest { from: Some(FloorPoint { x: 1.95, ..FloorPoint::default() }), ..ApproachRequest::asking(query, ROBOT) }
 }
 
 #[tokio::test]
@@ -85,6 +87,42 @@ async fn a_robot_is_told_where_to_stand_and_how_to_get_there() {
     server.stop().await;
 }
 
+/// A quarter turn to the left: the scene's X is the map's Y.
+#[tokio::test]
+async fn a_robot_asks_and_is_told_in_its_own_map() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let client = &server.client;
+    let in_scene = asking("the mug on the coffee table");
+    let in_map = ApproachRequest { frame: FrameChoice::Map, from: Some(FloorPoint { x: 10.0, y: 21.95, z: 0.5 }), ..in_scene.clone() };
+    let refused = problem(client.approach(&scene.id, &in_map).await);
+    assert_eq!((refused.status, refused.code.as_str()), (409, "no_map"));
+    let half = std::f64::consts::FRAC_1_SQRT_2;
+    let place = SceneToMap { rotation: [0.0, 0.0, half, half], translation_m: [10.0, 20.0, 0.5] };
+    let change = SceneChange { scene_to_map: Some(Some(place)), map_frame_id: Some(Some("map".into())), ..SceneChange::default() };
+    client.change_scene(&scene.id, &change).await.unwrap();
+
+    let (here, there) = (client.approach(&scene.id, &in_scene).await.unwrap(), client.approach(&scene.id, &in_map).await.unwrap());
+    assert_eq!((&here.in_frame, &here.poses), (&None, &there.poses), "the same robot in the same place");
+    let told = there.in_frame.unwrap();
+    assert_eq!(
+        (told.frame, told.frame_id.as_deref(), told.poses.len()),
+        (FrameChoice::Map, Some("map"), there.poses.len())
+    );
+    let near = |a: f64, b: f32| (a - f64::from(b)).abs() < 1e-4;
+    for (placed, pose) in told.poses.iter().zip(&there.poses) {
+        let [x, y, z] = pose.position;
+        assert!(
+            near(placed.position[0], 10.0 - y) && near(placed.position[1], 20.0 + x) && near(placed.position[2], 0.5 + z),
+            "{placed:?}"
+        );
+        let (half_yaw, [_, _, sin, cos]) = ((pose.yaw_rad + std::f32::consts::FRAC_PI_2) / 2.0, placed.orientation);
+        assert!((sin * f64::from(half_yaw.cos()) - cos * f64::from(half_yaw.sin())).abs() < 1e-6, "{placed:?}");
+        assert!(placed.path.len() == pose.path.len() && placed.path.last().unwrap() == &placed.position, "{placed:?}");
+    }
+    server.stop().await;
+}
+
 #[tokio::test]
 async fn things_that_were_merged_are_approached_as_one() {
     let server = TestServer::start().await;
@@ -113,7 +151,7 @@ async fn nothing_is_driven_to_on_a_guess_and_wrong_requests_are_named() {
         told.poses.is_empty() && told.target.is_none() && told.answer_id.is_some() && told.detail.contains("guess"),
         "{told:?}"
     );
-    let nowhere = ApproachRequest { from: Some(FloorPoint { x: 900.0, y: 0.0 }), ..ApproachRequest::to(InstanceId(1), ROBOT) };
+    let nowhere = ApproachRequest { from: Some(FloorPoint { x: 900.0, ..FloorPoint::default() }), ..ApproachRequest::to(InstanceId(1), ROBOT) };
     assert_eq!(client.approach(&scene.id, &nowhere).await.unwrap().failed, Some(FailedCondition::StartNotFree));
 
     let path = format!("v1/scenes/{}/approach", scene.id);

@@ -39,7 +39,7 @@ const PACKAGES: [(&str, Floors); 3] = [
     (
         "crates/uniground-types/src",
         &[
-            &["approach", "scenes", "instances", "service", "stats", "transcript", "batch", "keys"],
+            &["approach", "graph", "scenes", "instances", "service", "stats", "transcript", "batch", "keys"],
             &["answer", "corrections", "links", "question", "settings", "job", "models"],
             &["placement"],
             &["scene", "problem"],

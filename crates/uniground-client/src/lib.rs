@@ -16,13 +16,14 @@
 
 #![warn(missing_docs)]
 
+mod rooms;
+
 use futures::StreamExt;
 use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 pub use uniground_types as types;
 use uniground_types::answer::{Answer, AnswerList, Shortlisted};
-use uniground_types::approach::{Approach, ApproachRequest, FloorMap};
 use uniground_types::batch::{Batch, BatchList, BatchRequest, BatchResult};
 use uniground_types::corrections::{Change, Correction, CorrectionList};
 use uniground_types::instances::{InstanceList, InstanceView, Levels};
@@ -229,22 +230,6 @@ impl Client {
     /// [`ClientError`].
     pub async fn ground(&self, scene_id: &str, request: &GroundRequest) -> Result<Answer, ClientError> {
         json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/ground")).json(request)).await
-    }
-
-    /// Where a robot can stand to see or reach a thing.
-    ///
-    /// # Errors
-    /// [`ClientError`].
-    pub async fn approach(&self, scene_id: &str, request: &ApproachRequest) -> Result<Approach, ClientError> {
-        json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/approach")).json(request)).await
-    }
-
-    /// The map of a scene's floor; its picture is at `/v1/scenes/{id}/floor.png`. What is higher above it than `height_m` is no obstacle.
-    ///
-    /// # Errors
-    /// [`ClientError`].
-    pub async fn floor(&self, scene_id: &str, height_m: f32) -> Result<FloorMap, ClientError> {
-        json(self.request(Method::GET, &format!("v1/scenes/{scene_id}/floor")).query(&[("height_m", height_m)])).await
     }
 
     /// # Errors

@@ -2,6 +2,7 @@
 
 use crate::answer::{CoordinateFrame, Status};
 use crate::geometry::boxes::{Aabb, OrientedBox};
+use crate::placement::{FrameChoice, SceneToFrame};
 use crate::problem::FieldError;
 use crate::question::check_query;
 use crate::scene::{InstanceId, Support};
@@ -34,8 +35,8 @@ pub struct Robot {
     pub reach_m: Option<f32>,
 }
 
-/// A place on the floor, world frame (Z up), metres.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+/// A place on the floor: metres, world frame (Z up), unless a request's `frame` says otherwise.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FloorPoint {
@@ -43,6 +44,14 @@ pub struct FloorPoint {
     pub x: f32,
     /// Metres along Y.
     pub y: f32,
+    /// Metres along Z: wanted where the `frame`'s Z does not point up, of no importance elsewhere.
+    #[serde(default, skip_serializing_if = "is_zero")]
+    #[cfg_attr(feature = "openapi", schema(default = 0))]
+    pub z: f32,
+}
+
+fn is_zero(value: &f32) -> bool {
+    *value == 0.0
 }
 
 /// Asks where to stand for a thing: one of `instance_id` and `query`.
@@ -65,6 +74,10 @@ pub struct ApproachRequest {
     /// Where the robot is: poses it can not drive to are left out, and each has its path. Left out, poses lie in the largest free area there is.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<FloorPoint>,
+    /// Whose coordinates `from` is in, and in which poses are told beside the scene's own (`in_frame`).
+    #[serde(default)]
+    #[cfg_attr(feature = "openapi", schema(default = "scene"))]
+    pub frame: FrameChoice,
     /// Least horizontal distance from the middle of the robot to the thing's nearest point, metres.
     #[serde(default)]
     #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 20, default = 0))]
@@ -102,7 +115,8 @@ impl ApproachRequest {
 
     fn with(robot: Robot) -> Self {
         let (min_distance_m, max_distance_m, max_poses) = (0.0, default_distance(), default_poses());
-        Self { instance_id: None, query: None, robot, from: None, min_distance_m, max_distance_m, max_poses }
+        let frame = FrameChoice::default();
+        Self { instance_id: None, query: None, robot, from: None, frame, min_distance_m, max_distance_m, max_poses }
     }
 
     /// # Errors
@@ -121,8 +135,8 @@ impl ApproachRequest {
             return Err(FieldError::new("/robot/eye_height_m", "must not be above height_m"));
         }
         reach_m.map_or(Ok(()), |reach| above_zero("/robot/reach_m", reach, MAX_REACH_M))?;
-        if self.from.is_some_and(|FloorPoint { x, y }| !x.is_finite() || !y.is_finite()) {
-            return Err(FieldError::new("/from", "x and y must be finite"));
+        if self.from.is_some_and(|FloorPoint { x, y, z }| !(x.is_finite() && y.is_finite() && z.is_finite())) {
+            return Err(FieldError::new("/from", "x, y and z must be finite"));
         }
         above_zero("/max_distance_m", self.max_distance_m, MAX_DISTANCE_M)?;
         if !(0.0..=self.max_distance_m).contains(&self.min_distance_m) {
@@ -288,8 +302,50 @@ pub struct Approach {
     pub cells: Option<CellCounts>,
     /// Height of the floor, metres, world frame; `null` where `not_grounded`.
     pub floor_z_m: Option<f32>,
-    /// The frame of all coordinates here.
+    /// The frame of all coordinates here, but those of `in_frame`.
     pub frame: CoordinateFrame,
+    /// The poses in the coordinates that were asked for; `null` for the scene's own, and where `not_grounded`.
+    pub in_frame: Option<PosesInFrame>,
+}
+
+/// Places to stand in other coordinates than the scene's.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct PosesInFrame {
+    /// `source` or `map`.
+    pub frame: FrameChoice,
+    /// What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said.
+    pub frame_id: Option<String>,
+    /// From the scene's coordinates to these: for everything else that is told.
+    pub scene_to_frame: SceneToFrame,
+    /// One for each of `poses`, in their order.
+    pub poses: Vec<PlacedPose>,
+}
+
+/// A place to stand as `geometry_msgs/Pose` has it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct PlacedPose {
+    /// Middle of the robot's footprint, on the floor, in the frame's units.
+    pub position: [f64; 3],
+    /// Turns the robot's axes, X ahead and Z up, to the frame's: unit quaternion `x, y, z, w`.
+    pub orientation: [f64; 4],
+    /// The corners of the way, in the frame's units.
+    pub path: Vec<[f64; 3]>,
+}
+
+impl PlacedPose {
+    /// A place of the scene in other coordinates.
+    #[must_use]
+    pub fn of(pose: &StandingPose, scene_to_frame: &SceneToFrame) -> Self {
+        let [x, y, z] = pose.position.map(f64::from);
+        let corner = |[x, y]: &[f32; 2]| scene_to_frame.apply([f64::from(*x), f64::from(*y), z]);
+        Self {
+            position: scene_to_frame.apply([x, y, z]),
+            orientation: scene_to_frame.facing(f64::from(pose.yaw_rad)),
+            path: pose.path.iter().map(corner).collect(),
+        }
+    }
 }
 
 /// The map of a scene's floor, as `map_server` of ROS reads it: this JSON is YAML too. The picture's upper left pixel is at the least x and
@@ -347,7 +403,8 @@ mod tests {
             (|r| r.robot.height_m = f32::NAN, "/robot/height_m"),
             (|r| r.robot.eye_height_m = 1.3, "/robot/eye_height_m"),
             (|r| r.robot.reach_m = Some(-1.0), "/robot/reach_m"),
-            (|r| r.from = Some(FloorPoint { x: f32::INFINITY, y: 0.0 }), "/from"),
+            (|r| r.from = Some(FloorPoint { x: f32::INFINITY, ..FloorPoint::default() }), "/from"),
+            (|r| r.from = Some(FloorPoint { z: f32::NAN, ..FloorPoint::default() }), "/from"),
             (|r| r.max_distance_m = 0.0, "/max_distance_m"),
             (|r| r.min_distance_m = 3.0, "/min_distance_m"),
             (|r| r.max_poses = 0, "/max_poses"),

@@ -11,6 +11,7 @@ pub mod approach;
 pub mod batch;
 pub mod corrections;
 pub mod geometry;
+pub mod graph;
 pub mod instances;
 pub mod job;
 pub mod keys;

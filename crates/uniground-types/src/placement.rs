@@ -132,13 +132,18 @@ impl SceneToFrame {
     /// A box of the scene in these coordinates.
     #[must_use]
     pub fn place(&self, id: InstanceId, of: &OrientedBox) -> PlacedBox {
-        let own = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), f64::from(of.yaw_rad));
         PlacedBox {
             id,
             center: self.apply(of.center.coords.map(f64::from).into()),
             size: (of.size.map(f64::from) * self.scale).into(),
-            orientation: told(&(turn(self.rotation) * own)),
+            orientation: self.facing(f64::from(of.yaw_rad)),
         }
+    }
+
+    /// Turns the axes of what stands upright in the scene, turned by an angle about its Z, to these coordinates: unit quaternion `x, y, z, w`.
+    #[must_use]
+    pub fn facing(&self, yaw_rad: f64) -> [f64; 4] {
+        told(&(turn(self.rotation) * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_rad)))
     }
 
     /// Somebody who stands in these coordinates, in the scene. Where they are tilted, the direction of view is that seen from above.

@@ -3,11 +3,12 @@
 use crate::error::Error;
 use crate::store::SceneRow;
 use uniground_types::answer::Target;
+use uniground_types::approach::{PlacedPose, PosesInFrame, StandingPose};
 use uniground_types::placement::{FrameChoice, InFrame, SceneToFrame};
 use uniground_types::scene::SourceToScene;
 
 /// Coordinates other than the scene's.
-pub(super) struct Frame {
+pub struct Frame {
     choice: FrameChoice,
     id: Option<String>,
     pub from_scene: SceneToFrame,
@@ -37,5 +38,11 @@ impl Frame {
     pub fn holding(self, targets: &[Target]) -> InFrame {
         let boxes = targets.iter().map(|target| self.from_scene.place(target.id, &target.oriented_box)).collect();
         InFrame { frame: self.choice, frame_id: self.id, scene_to_frame: self.from_scene, boxes }
+    }
+
+    /// With these places to stand.
+    pub fn with_poses(self, poses: &[StandingPose]) -> PosesInFrame {
+        let poses = poses.iter().map(|pose| PlacedPose::of(pose, &self.from_scene)).collect();
+        PosesInFrame { frame: self.choice, frame_id: self.id, scene_to_frame: self.from_scene, poses }
     }
 }

@@ -15,7 +15,7 @@ use super::vlm::OF_QUESTION;
 use super::{Caller, Service, Vlm};
 use crate::error::Error;
 use crate::store::NewAnswer;
-use in_frame::Frame;
+pub use in_frame::Frame;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::time::timeout;

@@ -1,6 +1,6 @@
 //! Where a robot can stand for a thing, and the map of the floor it stands on.
 
-use super::answers::StoredScene;
+use super::answers::{Frame, StoredScene};
 use super::{Caller, Service};
 use crate::error::Error;
 use crate::store::SceneRow;
@@ -9,17 +9,19 @@ use std::sync::Arc;
 use uniground_core::approach::{Floor, Occupancy, Places, Wish, approach, explanation};
 use uniground_core::grounding::pipeline::SceneSource;
 use uniground_types::answer::{Answer, CoordinateFrame, Status};
-use uniground_types::approach::{Approach, ApproachRequest, ApproachStatus, ApproachTarget, FloorMap, check_map_height};
+use uniground_types::approach::{Approach, ApproachRequest, ApproachStatus, ApproachTarget, FloorMap, FloorPoint, check_map_height};
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
 impl Service {
     /// Finds places to stand for an instance, or for what a question means.
     ///
     /// # Errors
-    /// [`Error`]: unknown or unparsed scene, an instance there is none of or that is no thing, a request that makes no sense, overload.
+    /// [`Error`]: unknown or unparsed scene, an instance there is none of or that is no thing, a request that makes no sense, coordinates that
+    /// the scene does not know, overload.
     pub async fn approach(&self, scene_id: &str, request: ApproachRequest, caller: Caller) -> Result<Approach, Error> {
         request.check()?;
         let (answer, row, scene) = self.asked_about(scene_id, &request, caller).await?;
+        let frame = Frame::of(request.frame, &row, scene.parse.source_to_scene)?;
         let mut told = Approach {
             scene_id: row.id,
             parse_version: u32::try_from(row.parse_version).unwrap_or(0),
@@ -34,6 +36,7 @@ impl Service {
             cells: None,
             floor_z_m: None,
             frame: CoordinateFrame { up: "z".into(), units: "m".into() },
+            in_frame: None,
         };
         let meant = match &answer {
             Some(answer) => answer.answer.predicted_id.filter(|_| answer.status == Status::Grounded),
@@ -48,7 +51,7 @@ impl Service {
         if instance.dismissed {
             return Err(Error::invalid("/instance_id", format!("instance {id} is no thing: somebody has dismissed or split it")));
         }
-        let (name, wish) = (instance.label().to_owned(), wish_of(&request));
+        let (name, wish) = (instance.label().to_owned(), wish_of(&request, frame.as_ref()));
         told.target = Some(ApproachTarget {
             id,
             name: name.clone(),
@@ -74,6 +77,7 @@ impl Service {
                 (told.status, told.failed) = (ApproachStatus::NonePossible, Some(failed));
             }
         }
+        told.in_frame = frame.map(|frame| frame.with_poses(&told.poses));
         Ok(told)
     }
 
@@ -133,9 +137,14 @@ fn question(query: &str) -> GroundRequest {
     GroundRequest { reasoner: ReasonerChoice::Builtin, allow_builtin: true, ..GroundRequest::of(query) }
 }
 
-fn wish_of(request: &ApproachRequest) -> Wish {
-    let ApproachRequest { instance_id: _, query: _, robot, from, min_distance_m, max_distance_m, max_poses } = request;
-    Wish { robot: *robot, from: *from, distances_m: [*min_distance_m, *max_distance_m], max_poses: *max_poses as usize }
+/// `frame` is that of the robot's own place; `None` for the scene's.
+fn wish_of(request: &ApproachRequest, frame: Option<&Frame>) -> Wish {
+    let ApproachRequest { instance_id: _, query: _, robot, from, frame: _, min_distance_m, max_distance_m, max_poses } = request;
+    let in_scene = |FloorPoint { x, y, z }| {
+        let [x, y, z] = frame.map_or([x, y, z], |frame| frame.from_scene.invert([x, y, z].map(f64::from)).map(|v| v as f32));
+        FloorPoint { x, y, z }
+    };
+    Wish { robot: *robot, from: from.map(in_scene), distances_m: [*min_distance_m, *max_distance_m], max_poses: *max_poses as usize }
 }
 
 impl StoredScene {

@@ -1,5 +1,9 @@
 //! Instances as the outside sees them, and their evidence pictures.
 
+mod graph;
+
+pub use graph::written;
+
 use super::parses::LoadedParse;
 use super::{Service, parses};
 use crate::error::Error;

@@ -11,6 +11,7 @@ mod assess;
 mod candidates;
 pub mod direction;
 mod fit;
+pub mod graph;
 mod kinds;
 mod names;
 mod picture_cache;

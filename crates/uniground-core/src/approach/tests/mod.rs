@@ -107,7 +107,7 @@ fn a_wall_between_hides_and_is_driven_around() {
     // Wider than the gap.
     let wide = super::Wish { robot: Robot { radius_m: 0.6, ..ROBOT }, ..wish };
     assert_eq!(room.places(chest, &wide).poses, Err(FailedCondition::NotReachable));
-    let near_the_start = super::Wish { from: Some(uniground_types::approach::FloorPoint { x: 5.0, y: 2.0 }), ..wide };
+    let near_the_start = super::Wish { from: Some(uniground_types::approach::FloorPoint { x: 5.0, y: 2.0, z: 0.0 }), ..wide };
     assert!(room.places(chest, &near_the_start).poses.is_ok());
 }
 

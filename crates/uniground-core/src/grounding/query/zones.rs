@@ -41,6 +41,11 @@ pub(in crate::grounding) fn made_of(name: &str) -> Option<&'static [&'static str
     ZONES.iter().find(|(names, _)| names.contains(&name)).map(|(_, nouns)| *nouns)
 }
 
+/// Every zone by its first name, with the nouns that make it.
+pub(in crate::grounding) fn all() -> impl Iterator<Item = (&'static str, &'static [&'static str])> {
+    ZONES.iter().filter_map(|(names, nouns)| Some((*names.first()?, *nouns)))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
