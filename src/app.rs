@@ -2,7 +2,7 @@
 
 use crate::chat::{ChatClient, ReplayCache};
 use crate::config::{ChosenModels, ServeConfig};
-use crate::http::{self, AllowedHosts, App, MAX_EVENT_STREAMS, Origins};
+use crate::http::{self, AllowedHosts, App, MAX_EVENT_STREAMS, Mcp, Origins};
 use crate::inference::Probe;
 use crate::jobs::{JobKind, Jobs};
 use crate::metrics::Metrics;
@@ -23,6 +23,7 @@ use uniground_core::background;
 pub struct RunningService {
     /// Where it listens, with the port the system picked.
     pub address: SocketAddr,
+    service: Service,
     shutdown: CancellationToken,
     server: JoinHandle<()>,
     lanes: Vec<JoinHandle<()>>,
@@ -88,17 +89,18 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         tokio::spawn(service.clone().announce(Arc::new(webhook), shutdown.clone()));
     }
     let app = App {
-        service,
+        service: service.clone(),
         scopes: Arc::new(http::scopes()),
         shutdown: shutdown.clone(),
         metrics: metrics.clone(),
         allowed_hosts: is_private.then(|| Arc::new(AllowedHosts::new(&config.access.allowed_hosts))),
         origins: Origins::new(&config.access.cors_origins).context("--cors-origin")?,
         event_streams: Arc::new(Semaphore::new(MAX_EVENT_STREAMS)),
+        mcp: Mcp::over_http(service.clone(), shutdown.child_token()),
     };
     let most = most_connections(config.limits.max_connections);
     let server = tokio::spawn(http::serve(listener, http::router(app), most, metrics, shutdown.clone()));
-    Ok(RunningService { address, shutdown, server, lanes, store })
+    Ok(RunningService { address, service, shutdown, server, lanes, store })
 }
 
 /// Gives a kind of job its lane.
@@ -150,6 +152,12 @@ fn most_connections(wanted: u32) -> usize {
 const GRACE: Duration = Duration::from_secs(5);
 
 impl RunningService {
+    /// The use cases.
+    #[must_use]
+    pub fn service(&self) -> Service {
+        self.service.clone()
+    }
+
     /// Stops: no new requests, running ones finish, running jobs go back to their queues, the database is closed.
     ///
     /// # Errors

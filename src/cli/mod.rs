@@ -10,6 +10,7 @@ mod gc;
 mod ground;
 mod import;
 mod key;
+mod mcp;
 mod models;
 mod openapi;
 mod parse;
@@ -38,6 +39,8 @@ enum Command {
     Ground(ground::GroundArgs),
     /// Ask a running server many questions
     Batch(batch::BatchArgs),
+    /// Serve a data folder to an agent on this machine: the Model Context Protocol over stdin and stdout
+    Mcp(Box<ServeConfig>),
     /// Make, list and revoke the keys of callers
     Key(key::KeyArgs),
     /// Look how a scan of any layout is read, and write it in the neutral one
@@ -73,6 +76,7 @@ pub fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Demo(args) => asynchronous(demo::run(args)),
         Command::Ground(args) => asynchronous(ground::run(args)),
         Command::Batch(args) => asynchronous(batch::run(args)),
+        Command::Mcp(config) => asynchronous(mcp::run(config)),
         Command::Key(args) => asynchronous(key::run(args)),
         Command::Import(args) => import::run(args),
         Command::Parse(args) => parse::run(args),

@@ -20,6 +20,7 @@ use utoipa::openapi::{Content, Header, Ref, RefOr, Response, ResponseBuilder, Sc
         (name = "scenes", description = "Scans and their parses"),
         (name = "instances", description = "Objects found in a scene"),
         (name = "grounding", description = "Questions and answers"),
+        (name = "agents", description = "The same for language models"),
         (name = "batches", description = "Lists of questions, asked in the background"),
         (name = "jobs", description = "Work in the background"),
         (name = "keys", description = "Who may ask, and what was done"),

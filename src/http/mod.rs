@@ -18,6 +18,7 @@ mod jobs;
 mod keys;
 mod links;
 mod looks;
+mod mcp;
 mod origins;
 mod page;
 mod paging;
@@ -32,6 +33,7 @@ pub use auth::scopes;
 pub use connections::serve;
 use description::Description;
 pub use hosts::AllowedHosts;
+pub use mcp::{Mcp, McpOverHttp};
 pub use origins::Origins;
 use problem::Refused;
 pub use scopes::Scopes;
@@ -79,6 +81,8 @@ pub struct App {
     pub origins: Origins,
     /// One for each event stream that may be open.
     pub event_streams: Arc<Semaphore>,
+    /// The use cases as tools.
+    pub mcp: McpOverHttp,
 }
 
 /// Event streams open at once.
@@ -123,6 +127,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(approach::approach))
         .routes(routes!(approach::floor))
         .routes(routes!(approach::floor_picture))
+        .routes(routes!(mcp::answer))
         .routes(routes!(batches::create, batches::list))
         .routes(routes!(batches::get))
         .routes(routes!(batches::results))

@@ -42,6 +42,12 @@ impl Refused {
         Self::new(StatusCode::SERVICE_UNAVAILABLE, "overloaded", "too many connections: try again in a moment")
     }
 
+    /// The problem itself.
+    #[must_use]
+    pub fn problem(self) -> Problem {
+        self.0
+    }
+
     /// The problem as JSON.
     #[must_use]
     pub fn body(&self) -> String {

@@ -55,31 +55,45 @@ impl Service {
     /// The room from above: the answer's box, its anchor and the other candidates over the cloud.
     async fn drawn_picture(&self, id: &str) -> Result<Vec<u8>, Error> {
         let row = self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
-        let answer: Drawn = serde_json::from_str(&row.body)?;
+        let Drawn { answer, candidates } = serde_json::from_str(&row.body)?;
         let source = StoredScene::new(self.clone(), self.loaded_parse(&row.parse_id).await?);
-        let draw = move |source: &StoredScene| {
-            let render_scene = source.render_scene()?;
-            let instances = source.instances();
-            // Later boxes lie on top: candidates, anchor, answer.
-            let mut boxes: BTreeMap<(u8, u32), LabelledBox> = BTreeMap::new();
-            let mut mark = |id: InstanceId, order: u8, style: BoxStyle| {
-                let Some(instance) = instances.get(id.0 as usize - 1) else { return };
-                let name = answer.answer.candidate_names.get(&id.0).cloned().unwrap_or_else(|| instance.label().to_owned());
-                boxes.retain(|(_, other), _| *other != id.0);
-                boxes.insert((order, id.0), LabelledBox { aabb: instance.aabb, label: format!("{id} {name}"), style });
-            };
-            for candidate in answer.candidates.iter().take(MAX_CANDIDATES) {
-                mark(candidate.id, 0, BoxStyle::Candidate);
-            }
-            if let Some(anchor) = answer.answer.anchor_id {
-                mark(anchor, 1, BoxStyle::Anchor);
-            }
-            if let Some(chosen) = answer.answer.predicted_id {
-                mark(chosen, 2, BoxStyle::Answer);
-            }
-            let picture = scene_picture(&render_scene, &source.extent(), &ROOM_VIEW, &boxes.into_values().collect::<Vec<_>>());
-            Ok(jpeg(&picture))
+        // Later boxes lie on top: candidates, anchor, answer.
+        let candidates = candidates.iter().take(MAX_CANDIDATES).map(|candidate| (candidate.id, BoxStyle::Candidate));
+        let anchor = answer.anchor_id.map(|id| (id, BoxStyle::Anchor));
+        let chosen = answer.predicted_id.map(|id| (id, BoxStyle::Answer));
+        let marks = candidates.chain(anchor).chain(chosen).collect();
+        source.compute(move |source| source.room_with(marks, &answer.candidate_names)).await
+    }
+
+    /// The room of a scene's current parse from above, with instances marked. JPEG.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`], [`Error::ParseDamaged`].
+    pub async fn room_picture(&self, scene_id: &str, marked: Vec<InstanceId>) -> Result<Vec<u8>, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let source = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
+        let instances = source.instances().len();
+        if let Some(&id) = marked.iter().find(|id| !(1..=instances).contains(&(id.0 as usize))) {
+            return Err(Error::InstanceNotFound { scene_id: scene_id.into(), id });
+        }
+        let marks = marked.into_iter().map(|id| (id, BoxStyle::Answer)).collect();
+        source.compute(move |source| source.room_with(marks, &BTreeMap::new())).await
+    }
+}
+
+impl StoredScene {
+    /// The room from above with boxes, the last on top; of several boxes of an instance the last. JPEG.
+    fn room_with(&self, marks: Vec<(InstanceId, BoxStyle)>, names: &BTreeMap<u32, String>) -> Result<Vec<u8>, Error> {
+        let instances = self.instances();
+        let last: BTreeMap<InstanceId, usize> = marks.iter().enumerate().map(|(at, (id, _))| (*id, at)).collect();
+        let lasting = marks.into_iter().enumerate().filter(|(at, (id, _))| last[id] == *at);
+        let labelled = |(_, (id, style)): (usize, (InstanceId, BoxStyle))| {
+            let instance = instances.get((id.0 as usize).wrapping_sub(1))?;
+            let name = names.get(&id.0).cloned().unwrap_or_else(|| instance.label().to_owned());
+            Some(LabelledBox { aabb: instance.aabb, label: format!("{id} {name}"), style })
         };
-        source.compute(draw).await
+        let boxes: Vec<LabelledBox> = lasting.filter_map(labelled).collect();
+        let render_scene = self.render_scene()?;
+        Ok(jpeg(&scene_picture(&render_scene, &self.extent(), &ROOM_VIEW, &boxes)))
     }
 }

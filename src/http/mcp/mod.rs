@@ -1,0 +1,180 @@
+//! `/mcp`: the use cases as tools of the Model Context Protocol, so that a language model can call them. Streamable HTTP without sessions:
+//! every request stands alone, with the same keys, hosts and origins as all others. Over stdio for a folder of this machine.
+
+mod resources;
+mod schema;
+mod tools;
+mod values;
+
+use super::App;
+use super::problem::Refused;
+use crate::error::Error;
+use crate::service::{Caller, Service};
+use axum::body::{Body, to_bytes};
+use axum::extract::{Request, State};
+use axum::http::request::Parts;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use rmcp::model::{
+    CallToolRequestParams, CallToolResponse, ErrorData, Implementation, InitializeResult, ListResourceTemplatesResult, ListResourcesResult,
+    ListToolsResult, PaginatedRequestParams, ReadResourceRequestParams, ReadResourceResponse, ReadResourceResult, ServerCapabilities,
+};
+use rmcp::service::RequestContext;
+use rmcp::transport::streamable_http_server::session::never::NeverSessionManager;
+use rmcp::transport::streamable_http_server::{StreamableHttpServerConfig, StreamableHttpService};
+use rmcp::{RoleServer, ServerHandler, ServiceExt};
+use std::sync::Arc;
+use tokio_util::sync::CancellationToken;
+use uniground_types::problem::Problem;
+
+const INSTRUCTIONS: &str = "Finds things in scanned rooms by plain words. Start with list_scenes; ground answers a question with a 3D box; \
+    lengths are metres, Z is up, boxes are centre and full extent. Instance ids belong to one scene. A status other than grounded means that \
+    the thing is not surely known: ask the person, or look with render_view.";
+
+/// A message has at most so many bytes, as any JSON body.
+const MOST_BYTES: usize = 1 << 20;
+
+/// The use cases as tools.
+#[derive(Clone)]
+pub struct Mcp {
+    service: Service,
+    /// Who asks, where no request says it: over stdio, whoever started the program.
+    local: Option<Caller>,
+}
+
+/// Answers MCP over HTTP.
+pub type McpOverHttp = StreamableHttpService<Mcp, NeverSessionManager>;
+
+impl Mcp {
+    /// For requests over HTTP, which say themselves who asks.
+    #[must_use]
+    pub fn over_http(service: Service, shutdown: CancellationToken) -> McpOverHttp {
+        let config = StreamableHttpServerConfig::default()
+            .with_legacy_session_mode(false)
+            .with_json_response(true)
+            .with_max_request_body_bytes(MOST_BYTES)
+            .with_cancellation_token(shutdown)
+            // Hosts and origins are looked at once for all routes.
+            .disable_allowed_hosts()
+            .disable_allowed_origins();
+        let handler = Self { service, local: None };
+        StreamableHttpService::new(move || Ok(handler.clone()), Arc::new(NeverSessionManager::default()), config)
+    }
+
+    /// Over stdin and stdout, until stdin ends. Whoever started the program may do everything.
+    ///
+    /// # Errors
+    /// When what comes in is no MCP.
+    pub async fn over_stdio(service: Service) -> anyhow::Result<()> {
+        let handler = Self { service, local: Some(Caller::operator()) };
+        handler.serve(rmcp::transport::io::stdio()).await?.waiting().await?;
+        Ok(())
+    }
+
+    fn caller(&self, context: &RequestContext<RoleServer>) -> Result<Caller, ErrorData> {
+        let asked = context.extensions.get::<Parts>().and_then(|parts| parts.extensions.get::<Caller>());
+        asked.or(self.local.as_ref()).cloned().ok_or_else(|| ErrorData::internal_error("nobody knows who asks", None))
+    }
+}
+
+/// A problem as an error of the protocol.
+fn failed(error: Error) -> ErrorData {
+    let problem = Refused::from(error).problem();
+    let message = format!("{} ({})", problem.detail, problem.code);
+    match problem.status {
+        404 => ErrorData::resource_not_found(message, None),
+        400..=499 => ErrorData::invalid_params(message, None),
+        _ => ErrorData::internal_error(message, None),
+    }
+}
+
+impl ServerHandler for Mcp {
+    fn get_info(&self) -> InitializeResult {
+        let server = Implementation::new(env!("CARGO_PKG_NAME"), env!("CARGO_PKG_VERSION"));
+        let capabilities = ServerCapabilities::builder().enable_tools().enable_resources().build();
+        InitializeResult::new(capabilities).with_server_info(server).with_instructions(INSTRUCTIONS)
+    }
+
+    async fn list_tools(&self, _: Option<PaginatedRequestParams>, _: RequestContext<RoleServer>) -> Result<ListToolsResult, ErrorData> {
+        Ok(ListToolsResult::with_all_items(tools::all()))
+    }
+
+    async fn call_tool(&self, request: CallToolRequestParams, context: RequestContext<RoleServer>) -> Result<CallToolResponse, ErrorData> {
+        let caller = self.caller(&context)?;
+        let called = tools::call(&self.service, caller, &request.name, request.arguments.unwrap_or_default()).await;
+        let unknown = || ErrorData::invalid_params(format!("there is no tool {:?}: tools/list tells which there are", request.name), None);
+        called.map(CallToolResponse::from).ok_or_else(unknown)
+    }
+
+    async fn list_resources(
+        &self,
+        request: Option<PaginatedRequestParams>,
+        _: RequestContext<RoleServer>,
+    ) -> Result<ListResourcesResult, ErrorData> {
+        let cursor = request.and_then(|request| request.cursor);
+        resources::list(&self.service, cursor.as_deref()).await.map_err(failed)
+    }
+
+    async fn list_resource_templates(
+        &self,
+        _: Option<PaginatedRequestParams>,
+        _: RequestContext<RoleServer>,
+    ) -> Result<ListResourceTemplatesResult, ErrorData> {
+        Ok(ListResourceTemplatesResult::with_all_items(resources::templates()))
+    }
+
+    async fn read_resource(
+        &self,
+        request: ReadResourceRequestParams,
+        _: RequestContext<RoleServer>,
+    ) -> Result<ReadResourceResponse, ErrorData> {
+        let contents = resources::read(&self.service, &request.uri).await.map_err(failed)?;
+        let contents = contents.ok_or_else(|| {
+            ErrorData::resource_not_found("resources are uniground://scenes/{scene_id} and uniground://scenes/{scene_id}/report", None)
+        })?;
+        Ok(ReadResourceResult::new(vec![contents]).into())
+    }
+}
+
+/// A message of JSON-RPC 2.0.
+#[derive(utoipa::ToSchema)]
+#[schema(value_type = Object, example = json!({"jsonrpc": "2.0", "id": 1, "method": "tools/list"}))]
+pub(super) struct Message(#[expect(dead_code, reason = "only its schema is used")] serde_json::Value);
+
+/// The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `list_objects`, `get_object`, `relations`, `approach` and
+/// `render_view`, and scenes and reports as resources.
+///
+/// Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions; answers are JSON. A call a POST; nothing is sent unasked.
+#[utoipa::path(
+    post, path = "/mcp", operation_id = "mcp", tag = "agents", request_body = Message,
+    responses(
+        (status = 200, description = "The answer, or an error of the protocol", body = Message),
+        (status = 202, description = "A notification was heard"),
+        (status = 400, content((Problem = "application/problem+json"), (Message = "application/json"))),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 404, description = "There is no such method", body = Message),
+        (status = 406, description = "`Accept` must name application/json and text/event-stream", body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["read"]), ())
+)]
+pub(super) async fn answer(State(app): State<App>, request: Request) -> Response {
+    let answered = app.mcp.handle(request).await.map(Body::new);
+    let is_json = answered.headers().get(header::CONTENT_TYPE).is_some_and(|kind| kind.as_bytes().starts_with(b"application/json"));
+    if answered.status().is_success() || is_json {
+        return answered;
+    }
+    // What the transport refuses in plain words is a problem as everywhere.
+    let status = answered.status();
+    let words = to_bytes(answered.into_body(), MOST_BYTES).await.unwrap_or_default();
+    let code = match status {
+        StatusCode::UNSUPPORTED_MEDIA_TYPE => "unsupported_media_type",
+        StatusCode::PAYLOAD_TOO_LARGE => "body_too_large",
+        StatusCode::NOT_ACCEPTABLE => "not_acceptable",
+        _ => "mcp_refused",
+    };
+    Refused::new(status, code, String::from_utf8_lossy(&words)).into_response()
+}

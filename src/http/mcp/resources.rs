@@ -1,0 +1,49 @@
+//! Scenes and their reports as resources: `uniground://scenes/{id}` and `uniground://scenes/{id}/report`.
+
+use crate::error::Error;
+use crate::service::Service;
+use rmcp::model::{ListResourcesResult, Resource, ResourceContents, ResourceTemplate};
+
+const SCENES: &str = "uniground://scenes/";
+const REPORT: &str = "/report";
+const JSON: &str = "application/json";
+/// Scenes a page.
+const PAGE: u32 = 50;
+
+/// What kinds of resources there are.
+pub(super) fn templates() -> Vec<ResourceTemplate> {
+    let template = |uri: &str, name: &str, description: &str| {
+        let template = ResourceTemplate::new(format!("{SCENES}{uri}"), name);
+        template.with_description(description).with_mime_type(JSON)
+    };
+    vec![
+        template("{scene_id}", "scene", "A scan: name, state, sizes, how it was read, where it lies in a map"),
+        template("{scene_id}/report", "report", "How a scan was imported and cut into things, stage by stage"),
+    ]
+}
+
+/// A page of scenes and their reports, newest first.
+pub(super) async fn list(service: &Service, cursor: Option<&str>) -> Result<ListResourcesResult, Error> {
+    let page = service.scenes(PAGE, cursor).await?;
+    let of_scene = |scene: uniground_types::scenes::Scene| {
+        let uri = format!("{SCENES}{}", scene.id);
+        let report = scene.counts.is_some().then(|| {
+            let report = Resource::new(format!("{uri}{REPORT}"), format!("report of {}", scene.name));
+            report.with_mime_type(JSON)
+        });
+        std::iter::once(Resource::new(uri, scene.name).with_mime_type(JSON)).chain(report)
+    };
+    let mut list = ListResourcesResult::with_all_items(page.scenes.into_iter().flat_map(of_scene).collect());
+    list.next_cursor = page.next_cursor;
+    Ok(list)
+}
+
+/// What a resource holds; `None` where its address is none of ours.
+pub(super) async fn read(service: &Service, uri: &str) -> Result<Option<ResourceContents>, Error> {
+    let Some(path) = uri.strip_prefix(SCENES) else { return Ok(None) };
+    let json = match path.strip_suffix(REPORT) {
+        Some(id) => serde_json::to_string(&service.scene_report(id).await?)?,
+        None => serde_json::to_string(&service.scene(path).await?)?,
+    };
+    Ok(Some(ResourceContents::text(json, uri).with_mime_type(JSON)))
+}

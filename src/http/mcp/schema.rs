@@ -1,0 +1,52 @@
+//! JSON Schemas of tools, made of the same types that describe the API.
+
+use rmcp::model::JsonObject;
+use serde_json::{Map, Value};
+use std::sync::Arc;
+use utoipa::ToSchema;
+
+const COMPONENTS: &str = "#/components/schemas/";
+
+/// The schema of a type, whole: what it refers to stands within it.
+pub(super) fn of<T: ToSchema>() -> Arc<JsonObject> {
+    let mut parts = Vec::new();
+    T::schemas(&mut parts);
+    let mut whole = written(&T::schema());
+    let parts: Map<String, Value> = parts.into_iter().map(|(name, schema)| (name, Value::Object(written(&schema)))).collect();
+    if !parts.is_empty() {
+        whole.insert("$defs".into(), Value::Object(parts));
+    }
+    let mut whole = Value::Object(whole);
+    refer_within(&mut whole);
+    match whole {
+        Value::Object(whole) => Arc::new(whole),
+        _ => Arc::default(),
+    }
+}
+
+fn written(schema: &impl serde::Serialize) -> Map<String, Value> {
+    match serde_json::to_value(schema) {
+        Ok(Value::Object(schema)) => schema,
+        _ => Map::new(),
+    }
+}
+
+/// Has every reference lead to `$defs`, and leaves out what only descriptions of APIs know.
+fn refer_within(schema: &mut Value) {
+    match schema {
+        Value::Object(fields) => {
+            if let Some(Value::String(reference)) = fields.get_mut("$ref")
+                && let Some(name) = reference.strip_prefix(COMPONENTS)
+            {
+                *reference = format!("#/$defs/{name}");
+            }
+            // JSON Schema has a list of examples; a field may be called so too, and is an object then.
+            if fields.get("example").is_some_and(|example| !example.is_object() || fields.contains_key("type")) {
+                fields.remove("example");
+            }
+            fields.values_mut().for_each(refer_within);
+        }
+        Value::Array(items) => items.iter_mut().for_each(refer_within),
+        _ => {}
+    }
+}

@@ -1,0 +1,184 @@
+//! The tools: each decodes, calls one use case, and tells.
+
+use super::schema;
+use super::values::{
+    Approach, Ground, Grounded, ListObjects, ListScenes, MOST_MARKED, ObjectBrief, ObjectBriefs, OneObject, Relations, RenderView, SceneBrief,
+    SceneBriefs, ViewKind,
+};
+use crate::error::Error;
+use crate::http::problem::Refused;
+use crate::service::{Caller, EvidenceFile, Service, written};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use rmcp::model::{CallToolResult, ContentBlock, JsonObject, Tool, ToolAnnotations};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use uniground_types::approach::Approach as Approached;
+use uniground_types::graph::{GraphFormat, SceneGraph};
+use uniground_types::instances::{InstanceView, Levels, ViewPicture};
+use uniground_types::scene::InstanceId;
+use utoipa::ToSchema;
+
+/// Scenes a page.
+const SCENES: u32 = 50;
+/// Objects a page.
+const OBJECTS: u32 = 100;
+
+/// All tools, in the order an agent needs them.
+pub(super) fn all() -> Vec<Tool> {
+    vec![
+        tool::<ListScenes, SceneBriefs>("list_scenes", "Scans of rooms that can be asked about, newest first."),
+        tool::<Ground, Grounded>(
+            "ground",
+            "Finds what a sentence means in a scene, and gives its 3D box: \"the black chair closest to the door\". Says so where nothing or several things fit.",
+        ),
+        tool::<ListObjects, ObjectBriefs>("list_objects", "What was found in a scene: names, boxes, and what stands on what."),
+        tool::<OneObject, InstanceView>(
+            "get_object",
+            "Everything known of one thing: names, colours, boxes, support, and the photograph that shows it best.",
+        ),
+        tool::<Relations, SceneGraph>(
+            "relations",
+            "How things stand to each other: what is on, inside, above and next to what, parts, and zones such as a kitchen.",
+        ),
+        tool::<Approach, Approached>(
+            "approach",
+            "Where a robot can stand to see a thing, or to reach it, with the way there; or which condition left no place.",
+        ),
+        without_output::<RenderView>("render_view", "A picture of a scene with things marked, or the photograph that shows a thing best."),
+    ]
+}
+
+fn tool<I: ToSchema, O: ToSchema>(name: &'static str, description: &'static str) -> Tool {
+    without_output::<I>(name, description).with_raw_output_schema(schema::of::<O>())
+}
+
+fn without_output<I: ToSchema>(name: &'static str, description: &'static str) -> Tool {
+    let hints = ToolAnnotations::new().read_only(true).open_world(false);
+    Tool::new(name, description, schema::of::<I>()).with_annotations(hints)
+}
+
+/// Calls a tool; `None` where there is none of that name. What goes wrong is told as a result, so that whoever called can do better.
+pub(super) async fn call(service: &Service, caller: Caller, name: &str, arguments: JsonObject) -> Option<CallToolResult> {
+    let result = match name {
+        "list_scenes" => list_scenes(service, arguments).await,
+        "ground" => ground(service, caller, arguments).await,
+        "list_objects" => list_objects(service, arguments).await,
+        "get_object" => get_object(service, arguments).await,
+        "relations" => relations(service, arguments).await,
+        "approach" => approach(service, caller, arguments).await,
+        "render_view" => render_view(service, arguments).await,
+        _ => return None,
+    };
+    Some(result.unwrap_or_else(|error| {
+        let problem = Refused::from(error).problem();
+        CallToolResult::error(vec![ContentBlock::text(format!("{} ({})", problem.detail, problem.code))])
+    }))
+}
+
+/// The arguments of a tool.
+fn read<T: DeserializeOwned>(arguments: JsonObject) -> Result<T, Error> {
+    serde_path_to_error::deserialize(Value::Object(arguments)).map_err(|error| {
+        let pointer = format!("/{}", error.path().to_string().replace('.', "/"));
+        Error::invalid(pointer.trim_end_matches("/."), error.into_inner().to_string())
+    })
+}
+
+/// A value as it is, and as text for clients that read nothing else.
+fn told(value: &impl Serialize) -> Result<CallToolResult, Error> {
+    let text = serde_json::to_string(value)?;
+    with_text(value, text)
+}
+
+fn with_text(value: &impl Serialize, text: String) -> Result<CallToolResult, Error> {
+    let mut result = CallToolResult::success(vec![ContentBlock::text(text)]);
+    result.structured_content = Some(serde_json::to_value(value)?);
+    Ok(result)
+}
+
+fn has(name: &str, part: Option<&str>) -> bool {
+    part.is_none_or(|part| name.to_lowercase().contains(&part.to_lowercase()))
+}
+
+async fn list_scenes(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
+    let ListScenes { name, mut cursor } = read(arguments)?;
+    let mut scenes = Vec::new();
+    // A page of those that are meant, or all there are.
+    loop {
+        let page = service.scenes(SCENES, cursor.as_deref()).await?;
+        scenes.extend(page.scenes.into_iter().filter(|scene| has(&scene.name, name.as_deref())).map(SceneBrief::from));
+        cursor = page.next_cursor;
+        if cursor.is_none() || !scenes.is_empty() {
+            return told(&SceneBriefs { scenes, next_cursor: cursor });
+        }
+    }
+}
+
+async fn ground(service: &Service, caller: Caller, arguments: JsonObject) -> Result<CallToolResult, Error> {
+    let (scene_id, request) = read::<Ground>(arguments)?.request();
+    told(&Grounded::from(service.ground(&scene_id, request, caller).await?))
+}
+
+async fn list_objects(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
+    let ListObjects { scene_id, name, level, mut cursor } = read(arguments)?;
+    let mut objects = Vec::new();
+    loop {
+        let page = service.instances(&scene_id, level, OBJECTS, cursor).await?;
+        objects.extend(page.instances.into_iter().map(ObjectBrief::from).filter(|object| has(&object.name, name.as_deref())));
+        match page.next_cursor {
+            Some(next) if objects.is_empty() => cursor = next,
+            next_cursor => return told(&ObjectBriefs { objects, next_cursor }),
+        }
+    }
+}
+
+async fn get_object(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
+    let OneObject { scene_id, instance_id } = read(arguments)?;
+    let instance = service.instance(&scene_id, InstanceId(instance_id)).await?;
+    let mut result = told(&instance)?;
+    if !instance.views.is_empty() {
+        let file = service.view_picture(&scene_id, InstanceId(instance_id), 0, ViewPicture::Crop).await?;
+        result.content.push(picture(bytes_of(file).await?));
+    }
+    Ok(result)
+}
+
+async fn relations(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
+    let Relations { scene_id, instance_id } = read(arguments)?;
+    // A part is known by what it is a part of.
+    let levels = if instance_id.is_some() { Levels::All } else { Levels::Things };
+    let graph = service.graph(&scene_id, levels, instance_id.map(InstanceId)).await?;
+    let (_, text) = written(&graph, GraphFormat::Text)?;
+    with_text(&graph, text)
+}
+
+async fn approach(service: &Service, caller: Caller, arguments: JsonObject) -> Result<CallToolResult, Error> {
+    let (scene_id, request) = read::<Approach>(arguments)?.request();
+    told(&service.approach(&scene_id, request, caller).await?)
+}
+
+async fn render_view(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
+    let RenderView { scene_id, instance_ids, view } = read(arguments)?;
+    if instance_ids.len() > MOST_MARKED {
+        return Err(Error::invalid("/instance_ids", format!("at most {MOST_MARKED} are marked in one picture")));
+    }
+    let ids: Vec<InstanceId> = instance_ids.into_iter().map(InstanceId).collect();
+    let jpeg = match (view, ids.first()) {
+        (ViewKind::Room, _) => service.room_picture(&scene_id, ids).await?,
+        (ViewKind::Photograph, Some(&id)) => bytes_of(service.view_picture(&scene_id, id, 0, ViewPicture::Frame).await?).await?,
+        (ViewKind::Photograph, None) => return Err(Error::invalid("/instance_ids", "a photograph is of an instance: name one")),
+    };
+    Ok(CallToolResult::success(vec![picture(jpeg)]))
+}
+
+fn picture(jpeg: Vec<u8>) -> ContentBlock {
+    ContentBlock::image(STANDARD.encode(jpeg), "image/jpeg")
+}
+
+async fn bytes_of(picture: EvidenceFile) -> Result<Vec<u8>, Error> {
+    match picture {
+        EvidenceFile::Stored(file) => Ok(tokio::fs::read(file).await?),
+        EvidenceFile::Drawn(jpeg) => Ok(jpeg),
+    }
+}

@@ -1,0 +1,162 @@
+//! The tools of the Model Context Protocol, as they go over the wire. Clients that exist are tried in `tests/mcp`.
+
+use crate::server::TestServer;
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use reqwest::{Method, StatusCode, header};
+use serde_json::{Value, json};
+use std::io::{BufRead, BufReader, Write};
+use std::process::{Command, Stdio};
+use uniground_client::Client;
+use uniground_types::keys::{NewKey, Scope};
+
+async fn send(client: &Client, message: &Value) -> (StatusCode, String) {
+    let request = client.request(Method::POST, "mcp").header(header::ACCEPT, "application/json, text/event-stream");
+    let response = request.header("mcp-protocol-version", "2025-06-18").json(message).send().await.unwrap();
+    (response.status(), response.text().await.unwrap())
+}
+
+async fn result(client: &Client, method: &str, params: Value) -> Value {
+    let (status, text) = send(client, &json!({"jsonrpc": "2.0", "id": 7, "method": method, "params": params})).await;
+    let reply: Value = serde_json::from_str(&text).unwrap_or_else(|_| panic!("{status}: {text}"));
+    assert!(status == 200 && reply["id"] == 7 && reply["result"].is_object(), "{reply:#}");
+    reply["result"].clone()
+}
+
+async fn call(client: &Client, tool: &str, arguments: Value) -> Value {
+    result(client, "tools/call", json!({"name": tool, "arguments": arguments})).await
+}
+
+#[tokio::test]
+async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let client = &server.client;
+    let hello = json!({"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "test", "version": "1"}});
+    let welcome = result(client, "initialize", hello).await;
+    assert_eq!((&welcome["protocolVersion"], &welcome["serverInfo"]["name"]), (&json!("2025-06-18"), &json!("uniground")));
+    assert!(welcome["instructions"].as_str().unwrap().contains("list_scenes"));
+
+    let tools = result(client, "tools/list", json!({})).await;
+    let names: Vec<&str> = tools["tools"].as_array().unwrap().iter().map(|tool| tool["name"].as_str().unwrap()).collect();
+    assert_eq!(names, ["list_scenes", "ground", "list_objects", "get_object", "relations", "approach", "render_view"]);
+    let text = tools.to_string();
+    assert!(!text.contains("#/components/"), "schemas are whole");
+
+    let scenes = call(client, "list_scenes", json!({"name": "LIVING"})).await;
+    assert_eq!(scenes["structuredContent"]["scenes"][0]["scene_id"], scene.id.as_str(), "{scenes:#}");
+    assert_eq!(call(client, "list_scenes", json!({"name": "no such"})).await["structuredContent"]["scenes"], json!([]));
+    let answer = call(client, "ground", json!({"scene_id": scene.id, "query": "the mug on the coffee table"})).await;
+    let found = &answer["structuredContent"];
+    assert_eq!((&found["status"], &answer["isError"]), (&json!("grounded"), &json!(false)), "{answer:#}");
+    // Clients that know no structured content read the same.
+    let as_text: Value = serde_json::from_str(answer["content"][0]["text"].as_str().unwrap()).unwrap();
+    assert_eq!(&as_text, found);
+    let mug = found["targets"][0]["id"].as_u64().unwrap();
+
+    let listed = call(client, "list_objects", json!({"scene_id": scene.id, "name": "mug"})).await;
+    assert!(listed["structuredContent"]["objects"].as_array().unwrap().iter().any(|object| object["instance_id"] == mug), "{listed:#}");
+    let object = call(client, "get_object", json!({"scene_id": scene.id, "instance_id": mug})).await;
+    assert_eq!((&object["structuredContent"]["id"], &object["content"][1]["mimeType"]), (&json!(mug), &json!("image/jpeg")));
+    let relations = call(client, "relations", json!({"scene_id": scene.id, "instance_id": mug})).await;
+    assert!(relations["content"][0]["text"].as_str().unwrap().contains("table"), "{relations:#}");
+
+    let robot = json!({"radius_m": 0.2, "height_m": 1.3, "eye_height_m": 1.2});
+    let stand = call(client, "approach", json!({"scene_id": scene.id, "instance_id": mug, "robot": robot})).await;
+    assert_eq!(stand["structuredContent"]["status"], "found", "{stand:#}");
+    for arguments in [
+        json!({"scene_id": scene.id, "instance_ids": [mug]}),
+        json!({"scene_id": scene.id, "instance_ids": [mug], "view": "photograph"}),
+        json!({"scene_id": scene.id}),
+    ] {
+        let view = call(client, "render_view", arguments).await;
+        let jpeg = STANDARD.decode(view["content"][0]["data"].as_str().unwrap()).unwrap();
+        assert!(image::load_from_memory(&jpeg).unwrap().width() >= 320);
+    }
+
+    let resources = result(client, "resources/list", json!({})).await;
+    let report = resources["resources"].as_array().unwrap().iter().find(|one| one["uri"].as_str().unwrap().ends_with("/report")).unwrap();
+    let read = result(client, "resources/read", json!({"uri": report["uri"]})).await;
+    let report: Value = serde_json::from_str(read["contents"][0]["text"].as_str().unwrap()).unwrap();
+    assert_eq!(report["scene_id"], scene.id.as_str(), "{report:#}");
+    server.stop().await;
+}
+
+/// A model reads what went wrong and calls again.
+#[tokio::test]
+async fn what_goes_wrong_is_told_to_the_model() {
+    let server = TestServer::start().await;
+    let client = &server.client;
+    let nobody = "018f0000-0000-7000-8000-000000000000";
+    for (tool, arguments, told) in [
+        ("ground", json!({"scene_id": nobody, "query": "the sofa"}), "scene_not_found"),
+        ("ground", json!({"scene_id": nobody, "query": " "}), "/query"),
+        ("ground", json!({"scene_id": nobody}), "missing field `query`"),
+        ("ground", json!({"scene_id": nobody, "query": "x", "observer": {"position": [0, 0]}}), "/observer/position"),
+        ("ground", json!({"scene_id": nobody, "question": "the sofa"}), "unknown field `question`"),
+        ("approach", json!({"scene_id": nobody, "robot": {"radius_m": 0.2, "height_m": 1, "eye_height_m": 2}, "query": "x"}), "eye_height_m"),
+        ("render_view", json!({"scene_id": nobody, "view": "photograph"}), "name one"),
+    ] {
+        let reply = call(client, tool, arguments.clone()).await;
+        let text = reply["content"][0]["text"].as_str().unwrap();
+        assert!(reply["isError"] == true && text.contains(told), "{tool} {arguments}: {reply:#}");
+    }
+    let (status, text) = send(client, &json!({"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "sing"}})).await;
+    assert!(status == 200 && text.contains("there is no tool"), "{status} {text}");
+    let (_, text) =
+        send(client, &json!({"jsonrpc": "2.0", "id": 1, "method": "resources/read", "params": {"uri": "file:///etc/passwd"}})).await;
+    assert!(text.contains("resources are uniground://"), "{text}");
+    let (status, _) = send(client, &json!({"jsonrpc": "2.0", "method": "notifications/initialized"})).await;
+    assert_eq!(status, StatusCode::ACCEPTED);
+
+    // The transport's own refusals are problems as everywhere.
+    let plain = client.request(Method::POST, "mcp").json(&json!({"jsonrpc": "2.0", "id": 1, "method": "ping"})).send().await.unwrap();
+    assert_eq!((plain.status(), &plain.headers()[header::CONTENT_TYPE]), (StatusCode::NOT_ACCEPTABLE, &"application/problem+json"));
+    let get = client.request(Method::GET, "mcp").header(header::ACCEPT, "text/event-stream").send().await.unwrap();
+    assert_eq!(get.status(), StatusCode::METHOD_NOT_ALLOWED);
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn agents_show_keys_and_come_from_no_other_page() {
+    let server = TestServer::start().await;
+    let ping = json!({"jsonrpc": "2.0", "id": 1, "method": "tools/list"});
+    let foreign = server.client.request(Method::POST, "mcp").header(header::ORIGIN, "https://evil.example").header("sec-fetch-site", "cross-site");
+    let foreign = foreign.header(header::ACCEPT, "application/json, text/event-stream").json(&ping).send().await.unwrap();
+    assert_eq!(foreign.status(), StatusCode::FORBIDDEN);
+    let new = NewKey {
+        name: "agent".into(),
+        scope: Scope::Read,
+        expires_at: None,
+        requests_per_minute: None,
+        max_scenes: None,
+        daily_usd: None,
+    };
+    let key = server.client.create_key(&new).await.unwrap();
+    assert_eq!(send(&server.client, &ping).await.0, StatusCode::UNAUTHORIZED);
+    let agent = Client::new(&server.url(), Some(key.secret)).unwrap();
+    assert_eq!(send(&agent, &ping).await.0, StatusCode::OK);
+    server.stop().await;
+}
+
+/// Stdout is the agent's alone, and the program ends with its stdin.
+#[test]
+fn over_stdio_a_folder_is_served() {
+    let data = tempfile::tempdir().unwrap();
+    let mut program = Command::new(env!("CARGO_BIN_EXE_uniground"));
+    program.args(["mcp", "--masks", "builtin", "--encoder", "builtin", "--data-dir"]).arg(data.path());
+    let mut program = program.stdin(Stdio::piped()).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    let mut stdin = program.stdin.take().unwrap();
+    let mut lines = BufReader::new(program.stdout.take().unwrap()).lines();
+    let hello = json!({"protocolVersion": "2025-11-25", "capabilities": {}, "clientInfo": {"name": "test", "version": "1"}});
+    let mut say = |message: Value| writeln!(stdin, "{message}").unwrap();
+    say(json!({"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": hello}));
+    let welcome: Value = serde_json::from_str(&lines.next().unwrap().unwrap()).unwrap();
+    assert_eq!(welcome["result"]["protocolVersion"], "2025-11-25");
+    say(json!({"jsonrpc": "2.0", "method": "notifications/initialized"}));
+    say(json!({"jsonrpc": "2.0", "id": 2, "method": "tools/call", "params": {"name": "list_scenes", "arguments": {}}}));
+    let scenes: Value = serde_json::from_str(&lines.next().unwrap().unwrap()).unwrap();
+    assert_eq!(scenes["result"]["structuredContent"], json!({"scenes": [], "next_cursor": null}));
+    drop(stdin);
+    assert!(lines.next().is_none() && program.wait().unwrap().success());
+}
