@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: web web-check web-test demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-pointed bench-http openapi test-openapi python-client test-python schemathesis clean
+.PHONY: web web-check web-test demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-vlm bench-pointed bench-http openapi test-mcp test-openapi python-client test-python schemathesis clean
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -99,6 +99,10 @@ bench-http: ## Questions per second over HTTP (needs Debian's wrk)
 openapi: ## Regenerate the committed description, and what the Python package has from it
 	$(CARGO) run --release --locked --quiet -- openapi > openapi/openapi.json
 	$(PYTHON) scripts/python-client.py
+
+test-mcp: ## Agents: the Python SDK and the inspector against the real server (installs into .venv-mcp)
+	$(CARGO) build --release --locked --quiet
+	PYTHON=$(PYTHON) scripts/test-mcp.sh
 
 test-openapi: ## The description by those who read it: Redocly's linter, clients in Python and TypeScript made and compiled (npm; installs into .venv-openapi)
 	PYTHON=$(PYTHON) scripts/test-openapi.sh

@@ -17,7 +17,7 @@ pub struct RetentionConfig {
     /// Days for which batches are kept that are over, with their items; their answers have an age of their own; 0: for ever
     #[arg(long, env = "UNIGROUND_KEEP_BATCHES_DAYS", default_value_t = Retention::default().batches_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_batches_days: u32,
-    /// Days for which an upload's idempotency key is remembered; 0: as long as its scene
+    /// Days for which the idempotency key of an upload or a question is remembered; 0: for good
     #[arg(long, env = "UNIGROUND_KEEP_IDEMPOTENCY_DAYS", default_value_t = Retention::default().idempotency_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_idempotency_days: u32,
     /// Days for which it is remembered what was changed, and with whose key; 0: for ever

@@ -5,6 +5,8 @@ use super::problem::Refused;
 use super::{App, Asking};
 use axum::Extension;
 use axum::extract::State;
+use axum::http::{HeaderMap, HeaderValue};
+use axum::response::{IntoResponse, Response};
 use uniground_types::answer::{Answer, Shortlisted};
 use uniground_types::problem::Problem;
 use uniground_types::question::{GroundRequest, ShortlistRequest};
@@ -13,9 +15,14 @@ use uniground_types::question::{GroundRequest, ShortlistRequest};
 ///
 /// `no_match` and `ambiguous` are answers, not errors: `box` is `null` and, for `ambiguous`, `alternatives` lists the tied objects.
 #[utoipa::path(
-    post, path = "/v1/scenes/{scene_id}/ground", operation_id = "ground", tag = "grounding", params(("scene_id" = String, Path)), request_body = GroundRequest,
+    post, path = "/v1/scenes/{scene_id}/ground", operation_id = "ground", tag = "grounding",
+    params(
+        ("scene_id" = String, Path),
+        ("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the answer it got: a model is paid once, however often a question is sent"),
+    ),
+    request_body = GroundRequest,
     responses(
-        (status = 200, body = Answer),
+        (status = 200, body = Answer, headers(("Idempotent-Replayed" = Option<String>, description = "`true`: this answer was given before, under the same `Idempotency-Key`"))),
         (status = 400, body = Problem, content_type = "application/problem+json"),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 402, body = Problem, content_type = "application/problem+json"),
@@ -35,9 +42,19 @@ pub async fn ground(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Extension(caller): Asking,
+    headers: HeaderMap,
     Json(request): Json<GroundRequest>,
-) -> Result<axum::Json<Answer>, Refused> {
-    Ok(axum::Json(app.service.ground(&scene_id, request, caller).await?))
+) -> Result<Response, Refused> {
+    let Some(key) = headers.get("idempotency-key") else {
+        return Ok(axum::Json(app.service.ground(&scene_id, request, caller).await?).into_response());
+    };
+    let key = key.to_str().map_err(|_| Refused::invalid("Idempotency-Key", "it has visible ASCII characters only"))?;
+    let (answer, is_replayed) = app.service.ground_once(&scene_id, request, caller, key.to_owned()).await?;
+    let mut response = axum::Json(answer).into_response();
+    if is_replayed {
+        response.headers_mut().insert("idempotent-replayed", HeaderValue::from_static("true"));
+    }
+    Ok(response)
 }
 
 /// The candidates for a query, without reasoning over relations.

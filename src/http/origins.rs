@@ -54,6 +54,7 @@ impl Origins {
             header::CONTENT_RANGE,
             header::ETAG,
             header::RETRY_AFTER,
+            HeaderName::from_static("idempotent-replayed"),
             auth::RATE_LIMIT,
             auth::RATE_LIMIT_POLICY,
             REQUEST_ID,

@@ -39,6 +39,7 @@ use crate::inference::Probe;
 use crate::jobs::{JobFailure, Jobs};
 use crate::metrics::Metrics;
 use crate::store::Store;
+use answers::BeingAnswered;
 use batches::Beginnings;
 use lately::Lately;
 use parses::ParseCache;
@@ -85,6 +86,8 @@ pub struct Service {
     /// A vision-language model, where one is configured.
     vlm: Option<Arc<Vlm>>,
     models: Models,
+    /// Questions under idempotency keys being answered now.
+    being_answered: Arc<BeingAnswered>,
     /// Batches being asked now.
     asked_batches: Beginnings,
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
@@ -125,6 +128,7 @@ impl Service {
             parsing: Arc::new(parsing),
             vlm: vlm.map(Arc::new),
             models,
+            being_answered: Arc::default(),
             asked_batches: Beginnings::default(),
             content_references: Arc::default(),
             parse_references: Arc::default(),

@@ -93,6 +93,7 @@ impl Service {
             // After batches and answers, which refer to jobs and parses.
             round.rows(Aged::Jobs, jobs_days, "jobs").await?,
             round.rows(Aged::IdempotencyKeys, idempotency_days, "idempotency keys").await?,
+            round.rows(Aged::QuestionKeys, idempotency_days, "idempotency keys of questions").await?,
             round.rows(Aged::Audit, audit_days, "audit").await?,
             round.superseded_parses(superseded_days).await?,
             round.checkpoints().await?,

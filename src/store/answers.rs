@@ -107,6 +107,21 @@ async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, Stor
 }
 
 impl Store {
+    /// What was asked under an idempotency key, and the id its answer has or will have. A key that nobody has used stands for this question
+    /// from now on.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn question_of_key(&self, key: &str, request: &str, answer_id: &str) -> Result<(String, String), StoreError> {
+        let mut tx = self.writer.begin().await?;
+        let sql = "INSERT INTO question_keys (key, request, answer_id, created_at) VALUES (?, ?, ?, ?)
+                   ON CONFLICT (key) DO UPDATE SET key = key RETURNING request, answer_id";
+        let row = sqlx::query_as(sql).bind(key).bind(request).bind(answer_id).bind(now());
+        let row = row.fetch_one(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(row)
+    }
+
     /// Keeps an answer; `false` when its scene was deleted meanwhile.
     ///
     /// # Errors

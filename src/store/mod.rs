@@ -246,7 +246,7 @@ impl Store {
 }
 
 /// What brings a database of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 10] = [
+const MIGRATIONS: [(i64, &str, &str); 11] = [
     (1, "scenes parses jobs answers", include_str!("../../migrations/0001_scenes_parses_jobs_answers.sql")),
     (2, "instance names spending", include_str!("../../migrations/0002_instance_names_spending.sql")),
     (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
@@ -257,6 +257,7 @@ const MIGRATIONS: [(i64, &str, &str); 10] = [
     (8, "name indexes", include_str!("../../migrations/0008_name_indexes.sql")),
     (9, "corrections", include_str!("../../migrations/0009_corrections.sql")),
     (10, "scene to map", include_str!("../../migrations/0010_scene_to_map.sql")),
+    (11, "question keys", include_str!("../../migrations/0011_question_keys.sql")),
 ];
 
 fn migrations() -> Migrator {

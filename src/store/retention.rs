@@ -15,6 +15,8 @@ pub enum Aged {
     /// Those that are over, unless a scene or a batch refers to them.
     Jobs,
     IdempotencyKeys,
+    /// Those of questions.
+    QuestionKeys,
     /// What was done, and with whose key.
     Audit,
     /// Those neither a scene nor an answer refers to, counted from when that was [seen](Store::mark_superseded_parses).
@@ -70,6 +72,7 @@ impl Aged {
                  AND id NOT IN (SELECT job_id FROM batches WHERE job_id IS NOT NULL)",
             ),
             Self::IdempotencyKeys => ("idempotency_keys", "key", "octet_length(key)", "created_at < ?1 AND ?2 IS NOT NULL"),
+            Self::QuestionKeys => ("question_keys", "key", "octet_length(key)", "created_at < ?1 AND ?2 IS NOT NULL"),
             Self::Audit => ("audit", "id", "octet_length(path)", "id < ?2 AND at < ?1"),
             Self::SupersededParses => (
                 "parses",

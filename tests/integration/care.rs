@@ -117,6 +117,7 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
              UPDATE jobs SET id = '{OLD}8', finished_at = '{LONG_AGO}' WHERE subject = '{done}';
              UPDATE jobs SET id = '{OLD}9', finished_at = '{LONG_AGO}' WHERE subject = '{paused}';
              INSERT INTO idempotency_keys (key, scene_id, created_at) SELECT 'old key', id, '{LONG_AGO}' FROM scenes;
+             INSERT INTO question_keys VALUES ('old key', 'asked', '{OLD}1', '{LONG_AGO}'), ('new key', 'asked', '{OLD}4', '2999-01-01T00:00:00Z');
              INSERT INTO audit (id, at, method, path, status) VALUES ('{OLD}1', '{LONG_AGO}', 'POST', '/v1/scenes', 202);
              UPDATE parses SET superseded_at = '{LONG_AGO}';
              UPDATE parses SET created_at = '{LONG_AGO}';",
@@ -167,6 +168,7 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
         ("checkpoints", 1),
         ("evidence", 1),
         ("idempotency keys", 1),
+        ("idempotency keys of questions", 1),
         // The old one, and that of the batch.
         ("jobs", 2),
         ("quarantine", 1),
@@ -182,6 +184,7 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     assert_eq!(ids(&mut rows, "SELECT id FROM answers WHERE id < '018'").await, [format!("{OLD}4")]);
     assert_eq!(ids(&mut rows, "SELECT id FROM batches ORDER BY id").await.len(), 2);
     assert_eq!(ids(&mut rows, "SELECT key FROM idempotency_keys").await, ["new key"]);
+    assert_eq!(ids(&mut rows, "SELECT key FROM question_keys").await, ["new key"]);
     assert_eq!(ids(&mut rows, "SELECT id FROM parses WHERE superseded_at IS NULL").await.len(), 1, "that of the scene");
     assert_eq!(ids(&mut rows, "SELECT DISTINCT batch_id FROM batch_items ORDER BY 1").await.len(), 2);
     run(&mut rows, format!("DELETE FROM jobs WHERE id = '{OLD}6'")).await;

@@ -111,7 +111,8 @@ async fn what_goes_wrong_is_told_to_the_model() {
 
     // The transport's own refusals are problems as everywhere.
     let plain = client.request(Method::POST, "mcp").json(&json!({"jsonrpc": "2.0", "id": 1, "method": "ping"})).send().await.unwrap();
-    assert_eq!((plain.status(), &plain.headers()[header::CONTENT_TYPE]), (StatusCode::NOT_ACCEPTABLE, &"application/problem+json"));
+    assert_eq!(plain.status(), StatusCode::NOT_ACCEPTABLE);
+    assert_eq!(plain.headers()[header::CONTENT_TYPE], "application/problem+json");
     let get = client.request(Method::GET, "mcp").header(header::ACCEPT, "text/event-stream").send().await.unwrap();
     assert_eq!(get.status(), StatusCode::METHOD_NOT_ALLOWED);
     server.stop().await;

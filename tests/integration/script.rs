@@ -30,6 +30,8 @@ pub enum Scripted {
     Flood,
     /// A body of which the next byte never comes.
     Stall,
+    /// Another answer, after a while.
+    Slowly(Duration, Box<Self>),
 }
 
 /// What the model is told to answer next, and what it was asked.
@@ -77,9 +79,17 @@ async fn complete(State(script): State<Script>, headers: HeaderMap, Json(body): 
         let mut answers = script.answers.lock().unwrap();
         if answers.len() > 1 { answers.remove(0) } else { answers[0].clone() }
     };
+    let answer = match answer {
+        Scripted::Slowly(wait, answer) => {
+            sleep(wait).await;
+            *answer
+        }
+        at_once => at_once,
+    };
     match answer {
         Scripted::Json(status, answer) => (StatusCode::from_u16(status).unwrap(), Json(answer)).into_response(),
         Scripted::After(status, wait) => (StatusCode::from_u16(status).unwrap(), [("retry-after", wait)], "later").into_response(),
+        Scripted::Slowly(..) => unreachable!("an answer waits once"),
         Scripted::Text(text) => text.into_response(),
         Scripted::Redirect(address) => (StatusCode::PERMANENT_REDIRECT, [("location", address)]).into_response(),
         Scripted::Flood => {

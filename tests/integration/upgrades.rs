@@ -143,6 +143,10 @@ const LATER_ROWS: &[(&str, &str)] = &[
         "INSERT INTO corrections (id, parse_id, change, author, created_at)
          VALUES ('01a1ff70-0000-7000-8000-000000000004', 'PARSE', '{\"kind\": \"rename\", \"instance_id\": 1, \"name\": \"crate\"}', 'robot', '2026-11-20T00:00:00Z')",
     ),
+    (
+        "question_keys",
+        "INSERT INTO question_keys VALUES ('a-key', 'a-request', 'ANSWER', '2026-11-20T00:00:00Z')",
+    ),
     ("spending", "INSERT INTO spending VALUES ('2026-11-20', 0.5)"),
     ("data_folder", "INSERT INTO data_folder VALUES ('a-folder', '2026-11-20T00:00:00Z')"),
     ("reservations", "INSERT INTO reservations (id, day, usd) VALUES ('r', '2026-11-20', 0.25)"),

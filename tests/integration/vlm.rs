@@ -14,6 +14,7 @@ use uniground_types::transcript::PromptPart;
 
 mod budgets;
 mod naming;
+mod retries;
 mod trouble;
 mod unlisted;
 

@@ -2,7 +2,7 @@
 
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::placement::InFrame;
-use crate::scene::InstanceId;
+use crate::scene::{InstanceId, Support};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 
@@ -109,6 +109,12 @@ pub struct Target {
     pub aabb: Aabb,
     /// Box turned about the vertical to fit it; metres, world frame (Z up).
     pub oriented_box: OrientedBox,
+    /// What it stands on or hangs on; absent in answers given before this was told.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub support: Option<Support>,
+    /// The thing it is a part of; `null` for what is no part.
+    #[serde(default)]
+    pub parent: Option<InstanceId>,
 }
 
 /// How the question was understood.

@@ -2,7 +2,7 @@
 
 use crate::answer::{CoordinateFrame, Status};
 use crate::geometry::boxes::{Aabb, OrientedBox};
-use crate::placement::{FrameChoice, SceneToFrame};
+use crate::placement::{FrameChoice, SceneToFrame, Stamp};
 use crate::problem::FieldError;
 use crate::question::check_query;
 use crate::scene::{InstanceId, Support};
@@ -316,6 +316,8 @@ pub struct PosesInFrame {
     pub frame: FrameChoice,
     /// What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said.
     pub frame_id: Option<String>,
+    /// When this was told; with `frame_id` the header of a ROS message.
+    pub stamp: Stamp,
     /// From the scene's coordinates to these: for everything else that is told.
     pub scene_to_frame: SceneToFrame,
     /// One for each of `poses`, in their order.

@@ -82,10 +82,23 @@ pub struct InFrame {
     pub frame: FrameChoice,
     /// What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said.
     pub frame_id: Option<String>,
+    /// When this was told; with `frame_id` the header of a ROS message. Absent in answers given before it was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stamp: Option<Stamp>,
     /// From the scene's coordinates to these: for everything else the answer tells.
     pub scene_to_frame: SceneToFrame,
     /// One for each of `targets`, in their order.
     pub boxes: Vec<PlacedBox>,
+}
+
+/// A moment, as `builtin_interfaces/Time` has it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+pub struct Stamp {
+    /// Seconds since 1970, UTC.
+    pub sec: i64,
+    /// Nanoseconds on top.
+    pub nanosec: u32,
 }
 
 /// A box anyhow turned. As `vision_msgs/BoundingBox3D` has it.

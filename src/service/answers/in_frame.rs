@@ -2,9 +2,10 @@
 
 use crate::error::Error;
 use crate::store::SceneRow;
+use jiff::Timestamp;
 use uniground_types::answer::Target;
 use uniground_types::approach::{PlacedPose, PosesInFrame, StandingPose};
-use uniground_types::placement::{FrameChoice, InFrame, SceneToFrame};
+use uniground_types::placement::{FrameChoice, InFrame, SceneToFrame, Stamp};
 use uniground_types::scene::SourceToScene;
 
 /// Coordinates other than the scene's.
@@ -37,12 +38,17 @@ impl Frame {
     /// With the boxes of these.
     pub fn holding(self, targets: &[Target]) -> InFrame {
         let boxes = targets.iter().map(|target| self.from_scene.place(target.id, &target.oriented_box)).collect();
-        InFrame { frame: self.choice, frame_id: self.id, scene_to_frame: self.from_scene, boxes }
+        InFrame { frame: self.choice, frame_id: self.id, stamp: Some(stamp()), scene_to_frame: self.from_scene, boxes }
     }
 
     /// With these places to stand.
     pub fn with_poses(self, poses: &[StandingPose]) -> PosesInFrame {
         let poses = poses.iter().map(|pose| PlacedPose::of(pose, &self.from_scene)).collect();
-        PosesInFrame { frame: self.choice, frame_id: self.id, scene_to_frame: self.from_scene, poses }
+        PosesInFrame { frame: self.choice, frame_id: self.id, stamp: stamp(), scene_to_frame: self.from_scene, poses }
     }
+}
+
+fn stamp() -> Stamp {
+    let now = Timestamp::now();
+    Stamp { sec: now.as_second(), nanosec: u32::try_from(now.subsec_nanosecond()).unwrap_or(0) }
 }

@@ -1,6 +1,7 @@
 //! Questions to answers, kept.
 
 mod in_frame;
+mod once;
 mod lists;
 mod pictures;
 mod stored_scene;
@@ -16,6 +17,7 @@ use super::{Caller, Service, Vlm};
 use crate::error::Error;
 use crate::store::NewAnswer;
 pub use in_frame::Frame;
+pub use once::BeingAnswered;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::time::timeout;
@@ -126,13 +128,7 @@ impl Service {
                 (answer.stored, answer.evidence) = (false, Some(Vec::new()));
             }
         }
-        if let Some(include) = request.include {
-            let wanted = |part| include.contains(&part);
-            answer.candidates = answer.candidates.filter(|_| wanted(Include::Candidates));
-            answer.evidence = answer.evidence.filter(|_| wanted(Include::Evidence));
-            answer.trace = answer.trace.filter(|_| wanted(Include::Trace));
-        }
-        Ok(answer)
+        Ok(filtered(answer, request.include.as_deref()))
     }
 
     /// The built-in answer, for a question whose time was over before the model's came.
@@ -319,6 +315,17 @@ fn call(record: &CallRecord) -> Call {
         completion_tokens: reply.map_or(0, |reply| reply.completion_tokens),
         error,
     }
+}
+
+/// An answer with the parts that are wanted; all of them where nothing is said.
+fn filtered(mut answer: Answer, include: Option<&[Include]>) -> Answer {
+    if let Some(include) = include {
+        let wanted = |part| include.contains(&part);
+        answer.candidates = answer.candidates.filter(|_| wanted(Include::Candidates));
+        answer.evidence = answer.evidence.filter(|_| wanted(Include::Evidence));
+        answer.trace = answer.trace.filter(|_| wanted(Include::Trace));
+    }
+    answer
 }
 
 /// What calls took. Those that got no answer cost nothing that is known.

@@ -5,7 +5,7 @@ use crate::service::Service;
 use crate::service::parses::LoadedParse;
 use std::sync::Arc;
 use uniground_core::grounding::SceneView;
-use uniground_core::grounding::graph::{Graph, graphml, text};
+use uniground_core::grounding::graph::{Graph, Guessed, graphml, text};
 use uniground_types::answer::CoordinateFrame;
 use uniground_types::graph::{GraphFormat, SceneGraph};
 use uniground_types::instances::Levels;
@@ -36,7 +36,8 @@ impl Service {
 
 fn graph_of(parse: &LoadedParse, levels: Levels) -> Graph {
     let LoadedParse { instances, extent, names, .. } = parse;
-    Graph::of(SceneView { instances, extent: *extent, names, appearance: None }, levels)
+    let guessed = if parse.embeddings.is_some() { Guessed::ByLooks } else { Guessed::ByMeasures };
+    Graph::of(SceneView { instances, extent: *extent, names, appearance: None }, levels, guessed)
 }
 
 /// A graph in a format, with its media type.

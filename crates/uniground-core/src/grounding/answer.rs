@@ -7,7 +7,7 @@ use super::vlm::PromptContext;
 use super::{Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Question, SceneView, Seen, SixFields, Status, Target, Timings};
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::colour::ColourName;
-use crate::scene::Instance;
+use crate::scene::{Instance, Level};
 use serde::{Deserialize, Serialize};
 use std::time::Duration;
 
@@ -151,8 +151,9 @@ pub(super) fn alternative(instance: &Instance, name: String, confidence: f32) ->
 
 /// An instance as a target.
 pub(super) fn target(instance: &Instance, confidence: f32) -> Target {
-    let &Instance { id, aabb, oriented_box, .. } = instance;
-    Target { id, name: described(instance), confidence, aabb, oriented_box }
+    let &Instance { id, aabb, oriented_box, support, level, .. } = instance;
+    let parent = instance.things.first().copied().filter(|_| level == Level::Part);
+    Target { id, name: described(instance), confidence, aabb, oriented_box, support: Some(support), parent }
 }
 
 impl Grounding {

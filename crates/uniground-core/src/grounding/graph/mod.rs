@@ -25,8 +25,18 @@ const MOSTLY: f32 = 0.7;
 const HOLDER_VOLUME: f32 = 2.0;
 /// What is higher than another by more than this is not beside it, metres.
 const STEP_M: f32 = 0.1;
-/// Neighbours told of each thing, the nearest: in a full shelf everything is near everything.
+/// Two things are told as neighbours where each is among so many nearest of the other, and the nearest always: in a full shelf everything is
+/// near everything, and near a wardrobe stands the whole room.
 const NEIGHBOURS: usize = 4;
+
+/// Where names come from that nobody has given.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Guessed {
+    /// An encoder has seen the things.
+    ByLooks,
+    /// By sizes and places alone: good enough to choose among what fits a question, not to say what a room is.
+    ByMeasures,
+}
 
 /// Nodes and edges of a scene.
 #[derive(Debug, Clone, PartialEq)]
@@ -41,13 +51,13 @@ impl Graph {
     /// The graph of a scene: of its things and what the building is made of, with [`Levels::All`] of parts and wholes as well. What was
     /// dismissed is left out.
     #[must_use]
-    pub fn of(scene: SceneView, levels: Levels) -> Self {
+    pub fn of(scene: SceneView, levels: Levels, guessed: Guessed) -> Self {
         let is_listed = |i: &&Instance| !i.dismissed && (levels == Levels::All || i.level == Level::Thing || levels.lists(i.level, false));
         let listed: Vec<&Instance> = scene.instances.iter().filter(is_listed).collect();
         let known: BTreeSet<InstanceId> = listed.iter().map(|i| i.id).collect();
         let solids: BTreeMap<InstanceId, Solid> = listed.iter().map(|i| (i.id, Solid::from(*i))).collect();
         let things: Vec<&Instance> = listed.iter().copied().filter(|i| i.level == Level::Thing && i.structure.is_none()).collect();
-        let zones = zones::of(scene, &things, &solids);
+        let zones = zones::of(scene, &things, &solids, guessed);
 
         let relating = Relating { scene, known, solids };
         let mut edges = relating.told(&listed);
@@ -172,8 +182,16 @@ impl Relating<'_> {
         for (from, others) in below {
             edges.extend(best(others, 1).map(|(score, to)| self.edge(from, to, GraphRelation::Above, score)));
         }
-        for (from, others) in beside {
-            edges.extend(best(others, NEIGHBOURS).map(|(score, to)| self.edge(from.min(to), from.max(to), GraphRelation::NextTo, score)));
+        let places = |others: Vec<(f32, InstanceId)>| best(others, NEIGHBOURS).zip(0..).map(|((score, to), place)| (to, (place, score))).collect();
+        let nearest: BTreeMap<InstanceId, BTreeMap<InstanceId, (usize, f32)>> =
+            beside.into_iter().map(|(from, others)| (from, places(others))).collect();
+        for (from, others) in &nearest {
+            for (to, (place, score)) in others {
+                let is_mutual = nearest[to].contains_key(from);
+                if *place == 0 || is_mutual {
+                    edges.push(self.edge(*from.min(to), *from.max(to), GraphRelation::NextTo, *score));
+                }
+            }
         }
         edges.into_iter().flatten().collect()
     }

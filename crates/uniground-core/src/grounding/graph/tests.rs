@@ -37,7 +37,7 @@ fn room() -> Vec<Instance> {
 
 fn graph(instances: &[Instance], levels: Levels) -> Graph {
     let extent = Aabb { center: Point3::new(0.0, 0.0, 1.25), size: Vector3::new(6.0, 6.0, 2.5) };
-    Graph::of(SceneView { instances, extent, names: &NameIndex::of(instances), appearance: None }, levels)
+    Graph::of(SceneView { instances, extent, names: &NameIndex::of(instances), appearance: None }, levels, Guessed::ByMeasures)
 }
 
 fn triples(graph: &Graph) -> Vec<String> {
@@ -91,6 +91,32 @@ fn zones_want_two_kinds_of_things() {
 fn scene_graph(Graph { nodes, edges }: Graph) -> SceneGraph {
     let frame = CoordinateFrame { up: "z".into(), units: "m".into() };
     SceneGraph { scene_id: "018f".into(), parse_version: 1, frame, nodes, edges }
+}
+
+/// What measures make of a box is no reason to call a room a kitchen; what an encoder has seen is.
+#[test]
+fn guesses_by_measures_make_no_zone() {
+    let mut room = room();
+    for instance in &mut room {
+        let name = instance.given_name.take().unwrap_or_default();
+        instance.names = vec![crate::scene::NameGuess { name, score: 0.9 }];
+    }
+    let extent = Aabb { center: Point3::new(0.0, 0.0, 1.25), size: Vector3::new(6.0, 6.0, 2.5) };
+    let zones = |guessed| {
+        let scene = SceneView { instances: &room, extent, names: &NameIndex::of(&room), appearance: None };
+        Graph::of(scene, Levels::Things, guessed).nodes.iter().filter(|node| node.kind == NodeKind::Zone).count()
+    };
+    assert_eq!((zones(Guessed::ByMeasures), zones(Guessed::ByLooks)), (0, 1));
+}
+
+/// A wardrobe with a row of boxes along it: it is next to some of them, and each is next to something.
+#[test]
+fn near_something_large_not_everything_is_told() {
+    let mut things = vec![thing(1, [0.0, 0.0], [6.0, 0.6, 2.0], 0.0, Support::Floor, GREY)];
+    things.extend((0..12_u8).map(|i| thing(u32::from(i) + 2, [f32::from(i) * 0.45 - 2.5, 0.45], [0.3, 0.3, 0.3], 0.0, Support::Floor, GREY)));
+    let graph = graph(&things, Levels::Things);
+    let of = |id: &str| graph.edges.iter().filter(|edge| edge.from == id || edge.to == id).count();
+    assert!((2..=13).all(|id| (1..=6).contains(&of(&format!("i{id}")))), "{:#?}", triples(&graph));
 }
 
 #[test]

@@ -1,6 +1,6 @@
 //! Zones of a scene, by what stands in them.
 
-use super::node_id;
+use super::{Guessed, node_id};
 use crate::geometry::boxes::Aabb;
 use crate::grounding::SceneView;
 use crate::grounding::query::Phrase;
@@ -43,11 +43,11 @@ impl Zone {
 }
 
 /// The zones of a scene: where two kinds of things that make one stand together. Every thing is in one at most, the nearest.
-pub(super) fn of(scene: SceneView, things: &[&Instance], solids: &BTreeMap<InstanceId, Solid>) -> Vec<Zone> {
+pub(super) fn of(scene: SceneView, things: &[&Instance], solids: &BTreeMap<InstanceId, Solid>, guessed: Guessed) -> Vec<Zone> {
     let mut found: Vec<(&'static str, Vec<InstanceId>)> = Vec::new();
     for (name, nouns) in zones::all() {
         let makers: Vec<(InstanceId, usize)> =
-            things.iter().filter_map(|thing| Some((thing.id, nouns.iter().position(|noun| is_called(scene, thing, noun))?))).collect();
+            things.iter().filter_map(|thing| Some((thing.id, nouns.iter().position(|noun| is_called(scene, thing, noun, guessed))?))).collect();
         for cluster in clusters(&makers, solids) {
             let kinds: BTreeSet<usize> = cluster.iter().map(|(_, noun)| *noun).collect();
             // One desk is no study, nor a door a hallway; a dining table alone tells.
@@ -79,14 +79,14 @@ pub(super) fn of(scene: SceneView, things: &[&Instance], solids: &BTreeMap<Insta
     found.into_iter().zip(members).filter_map(zone).collect()
 }
 
-/// Whether a thing is called by a noun: by the name it was given, else by its best one.
-fn is_called(scene: SceneView, thing: &Instance, noun: &str) -> bool {
+/// Whether a thing is called by a noun: by the name it was given, else by its best one where it was seen.
+fn is_called(scene: SceneView, thing: &Instance, noun: &str, guessed: Guessed) -> bool {
     match scene.names.get(thing.id.0 as usize - 1) {
         Some(name) => {
             let phrase = Phrase { head: noun.to_owned(), ..Phrase::default() };
             name.is_thing() && name.fit(&phrase, &phrase.meaning()) >= SAYS
         }
-        None => thing.given_name.is_none() && thing.names.first().is_some_and(|guess| guess.name == noun),
+        None => guessed == Guessed::ByLooks && thing.given_name.is_none() && thing.names.first().is_some_and(|guess| guess.name == noun),
     }
 }
 

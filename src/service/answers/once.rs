@@ -1,0 +1,71 @@
+//! Questions that come again: under the same idempotency key the same answer, and a model is paid once.
+
+use super::{Asker, Service, filtered};
+use crate::error::Error;
+use crate::service::Caller;
+use sha2::{Digest, Sha256};
+use std::collections::HashMap;
+use std::sync::{Arc, PoisonError, Weak};
+use tokio::sync::{Mutex, OwnedMutexGuard};
+use tracing::Instrument;
+use uniground_types::answer::Answer;
+use uniground_types::question::GroundRequest;
+
+/// Longest idempotency key, bytes.
+const LONGEST_KEY: usize = 256;
+
+/// Keys whose questions are being answered: who comes with the same one waits.
+#[derive(Default)]
+pub struct BeingAnswered(std::sync::Mutex<HashMap<String, Weak<Mutex<()>>>>);
+
+impl BeingAnswered {
+    async fn turn(&self, key: &str) -> OwnedMutexGuard<()> {
+        let lock = {
+            let mut locks = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+            locks.retain(|_, lock| lock.strong_count() > 0);
+            match locks.get(key).and_then(Weak::upgrade) {
+                Some(lock) => lock,
+                None => {
+                    let lock = Arc::default();
+                    locks.insert(key.to_owned(), Arc::downgrade(&lock));
+                    lock
+                }
+            }
+        };
+        lock.lock_owned().await
+    }
+}
+
+impl Service {
+    /// Grounds one question under an idempotency key; whether the answer was given before. The question is answered to its end even if
+    /// whoever asked has gone: they will come again.
+    ///
+    /// # Errors
+    /// As [`ground`](Self::ground); [`Error::IdempotencyKeyReused`].
+    pub async fn ground_once(&self, scene_id: &str, request: GroundRequest, caller: Caller, key: String) -> Result<(Answer, bool), Error> {
+        if key.is_empty() || key.len() > LONGEST_KEY {
+            return Err(Error::invalid("Idempotency-Key", format!("it has 1 to {LONGEST_KEY} bytes")));
+        }
+        let (service, scene_id) = (self.clone(), scene_id.to_owned());
+        let answering = async move { service.ground_keyed(&scene_id, request, caller, &key).await };
+        tokio::spawn(answering.in_current_span()).await?
+    }
+
+    async fn ground_keyed(&self, scene_id: &str, request: GroundRequest, caller: Caller, key: &str) -> Result<(Answer, bool), Error> {
+        request.check()?;
+        let key = caller.own(key.to_owned());
+        let _turn = self.being_answered.turn(&key).await;
+        let digest = Sha256::digest(serde_json::to_vec(&(scene_id, &request))?);
+        let asked: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
+        // The answer has its id before it is asked: one that was kept before a crash is known again.
+        let (known, answer_id) = self.store.question_of_key(&key, &asked, &self.store.new_id()).await?;
+        if known != asked {
+            return Err(Error::IdempotencyKeyReused);
+        }
+        if let Some(row) = self.store.answer(&answer_id).await? {
+            return Ok((filtered(serde_json::from_str(&row.body)?, request.include.as_deref()), true));
+        }
+        let asker = Asker { caller, answer_id, pays: None, is_batch: false };
+        Ok((self.ground_for(scene_id, request, asker).await?, false))
+    }
+}

@@ -1,0 +1,79 @@
+//! A question that is sent again under its idempotency key.
+
+use super::{builtin, by, config, six_lines, start};
+use crate::script::{Script, Scripted, says};
+use reqwest::{Method, Response};
+use std::time::Duration;
+use tokio::time::sleep;
+use uniground_types::answer::Answer;
+use uniground_types::problem::Problem;
+use uniground_types::question::{GroundRequest, Include, ReasonerChoice};
+
+async fn send(client: &uniground_client::Client, scene: &str, key: &str, request: &GroundRequest) -> Response {
+    let asked = client.request(Method::POST, &format!("v1/scenes/{scene}/ground")).header("idempotency-key", key);
+    asked.json(request).send().await.unwrap()
+}
+
+/// The answer, and whether it was given before.
+async fn told(response: Response) -> (Answer, bool) {
+    let replayed = response.headers().get("idempotent-replayed").is_some_and(|told| told == "true");
+    (response.json().await.unwrap(), replayed)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_retry_never_pays_twice() {
+    let script = Script::default();
+    let url = script.serve(vec![says("-")]).await;
+    let (server, scene) = start(config(&url)).await;
+    let client = &server.client;
+    let plain = builtin(&server, &scene).await;
+    script.next(vec![six_lines(plain.answer.predicted_id.unwrap(), "", true, 1)]);
+    let asked = by(ReasonerChoice::Vlm);
+
+    let (first, replayed) = told(send(client, &scene, "k1", &asked).await).await;
+    assert!(!replayed && first.usage.cost_usd > 0.0);
+    let (again, replayed) = told(send(client, &scene, "k1", &asked).await).await;
+    assert_eq!((&again, replayed, script.calls()), (&first, true, 1));
+    // Another question wants another key, and another key is another question.
+    let other = GroundRequest { top_k: 3, ..asked.clone() };
+    let refused: Problem = send(client, &scene, "k1", &other).await.json().await.unwrap();
+    assert_eq!((refused.status, refused.code.as_str()), (422, "idempotency_key_reused"));
+    let (own, replayed) = told(send(client, &scene, "k2", &asked).await).await;
+    assert!(own.id != first.id && !replayed);
+
+    // What is left out is left out again.
+    let brief = GroundRequest { include: Some(vec![Include::Trace]), ..asked.clone() };
+    for replayed in [false, true] {
+        let (answer, again) = told(send(client, &scene, "k3", &brief).await).await;
+        assert!(again == replayed && answer.candidates.is_none() && answer.trace.is_some());
+    }
+    let refused: Problem = send(client, &scene, &"k".repeat(300), &asked).await.json().await.unwrap();
+    assert_eq!((refused.status, refused.errors[0].pointer.as_str()), (422, "Idempotency-Key"));
+    server.stop().await;
+}
+
+/// Who asks again while the first is still being answered waits for it; who hung up comes back to its answer.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lost_connection_is_no_second_call() {
+    let script = Script::default();
+    let url = script.serve(vec![says("-")]).await;
+    let (server, scene) = start(config(&url)).await;
+    let client = &server.client;
+    let id = builtin(&server, &scene).await.answer.predicted_id.unwrap();
+    let slow = |id| Scripted::Slowly(Duration::from_millis(600), Box::new(six_lines(id, "", true, 1)));
+    script.next(vec![slow(id)]);
+    let asked = by(ReasonerChoice::Vlm);
+    let gone = tokio::time::timeout(Duration::from_millis(200), send(client, &scene, "k", &asked)).await;
+    assert!(gone.is_err(), "the model takes longer");
+    let (one, two) = tokio::join!(send(client, &scene, "k", &asked), send(client, &scene, "k", &asked));
+    let (one, two) = (told(one).await, told(two).await);
+    assert_eq!((&one, script.calls()), (&two, 1));
+    assert!(one.1 && one.0.usage.cost_usd > 0.0, "both are told what the first got");
+    // A question that failed may be asked again.
+    script.next(vec![crate::script::fails(400, "no")]);
+    assert_eq!(send(client, &scene, "f", &asked).await.status(), 502);
+    script.next(vec![six_lines(id, "", true, 1)]);
+    sleep(Duration::from_millis(50)).await;
+    assert!(!told(send(client, &scene, "f", &asked).await).await.1);
+    server.stop().await;
+}
