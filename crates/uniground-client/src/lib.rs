@@ -16,6 +16,8 @@
 
 #![warn(missing_docs)]
 
+mod exports;
+
 use futures::StreamExt;
 use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
 use serde::Serialize;
