@@ -33,7 +33,11 @@ fn hall() -> Vec<Instance> {
         let aabb = Aabb { center, size };
         SceneObject { id: i as u32 + 1, name, aabb, rotated: None, cloud_points: 0, mean_rgb: None, colours: Vec::new(), seen_as: None }
     };
-    instances_of(&Annotations { objects: (0..THINGS).map(object).collect(), of_point: None }, &PointCloud::default(), NamedBy::Encoder)
+    instances_of(
+        &Annotations { objects: (0..THINGS).map(object).collect(), of_point: None },
+        &PointCloud::default(),
+        NamedBy::Encoder,
+    )
 }
 
 /// A third of the points on the floor, the rest on the surfaces of things; the same every time.
@@ -79,7 +83,11 @@ fn main() {
     let (positions, of_point) = cloud(&instances);
     let start = Instant::now();
     let occupancy = Occupancy::of(&positions, &of_point, &instances);
-    println!("columns of {POINTS} points, once per parse: {:.0} ms, {} MB", start.elapsed().as_secs_f64() * 1e3, occupancy.bytes() >> 20);
+    println!(
+        "columns of {POINTS} points, once per parse: {:.0} ms, {} MB",
+        start.elapsed().as_secs_f64() * 1e3,
+        occupancy.bytes() >> 20
+    );
     let robot = Robot { radius_m: 0.25, height_m: 1.3, eye_height_m: 1.2, reach_m: None };
     for (what, from, reach_m) in [
         ("to see", None, None),
@@ -92,7 +100,11 @@ fn main() {
             let id = InstanceId((i * 37 % THINGS) as u32 + 1);
             found += usize::from(approach(&occupancy, &instances, id, &wish).unwrap().poses.is_ok());
         });
-        println!("a place {what}: p50 {:.1} ms, p95 {:.1} ms, {found} of {CALLS} found", taken[CALLS / 2], taken[CALLS * 95 / 100]);
+        println!(
+            "a place {what}: p50 {:.1} ms, p95 {:.1} ms, {found} of {CALLS} found",
+            taken[CALLS / 2],
+            taken[CALLS * 95 / 100]
+        );
     }
     let extent = Aabb::around(&positions).unwrap();
     let names = NameIndex::of(&instances);

@@ -47,6 +47,21 @@ pub async fn send_file(path: &Utf8Path, media_type: &'static str, asked: &Header
     Ok(response)
 }
 
+/// What was made for the caller, whole, or nothing where the caller has it. The same bytes have the same fingerprint, and others another.
+pub fn send_bytes(bytes: Vec<u8>, fingerprint: &str, media_type: &'static str, asked: &HeaderMap) -> Response {
+    let etag = format!("\"{fingerprint}\"");
+    let known = asked.get(header::IF_NONE_MATCH).and_then(|known| known.to_str().ok());
+    let mut response = match known.is_some_and(|known| names(known, &etag)) {
+        true => StatusCode::NOT_MODIFIED.into_response(),
+        false => ([(header::CONTENT_TYPE, media_type)], bytes).into_response(),
+    };
+    response.headers_mut().insert(header::CACHE_CONTROL, ASK_AGAIN);
+    if let Ok(etag) = HeaderValue::from_str(&etag) {
+        response.headers_mut().insert(header::ETAG, etag);
+    }
+    response
+}
+
 /// Marks what is small and read: the same bytes have the same mark, and are not sent to who has them.
 pub async fn mark(request: Request, next: Next) -> Response {
     let is_read = request.method() == Method::GET;

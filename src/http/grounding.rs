@@ -48,7 +48,9 @@ pub async fn ground(
     let Some(key) = headers.get("idempotency-key") else {
         return Ok(axum::Json(app.service.ground(&scene_id, request, caller).await?).into_response());
     };
-    let key = key.to_str().map_err(|_| Refused::invalid("Idempotency-Key", "it has visible ASCII characters only"))?;
+    let key = key
+        .to_str()
+        .map_err(|_| Refused::invalid("Idempotency-Key", "it has visible ASCII characters only"))?;
     let (answer, is_replayed) = app.service.ground_once(&scene_id, request, caller, key.to_owned()).await?;
     let mut response = axum::Json(answer).into_response();
     if is_replayed {

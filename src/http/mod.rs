@@ -8,6 +8,7 @@ mod caching;
 mod connections;
 mod corrections;
 mod description;
+mod export;
 mod extract;
 mod graph;
 mod grounding;
@@ -110,6 +111,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(looks::thumbnail))
         .routes(routes!(looks::frames))
         .routes(routes!(looks::photograph))
+        .routes(routes!(export::export))
         .routes(routes!(reports::get))
         .routes(routes!(reports::picture))
         .routes(routes!(instances::list))

@@ -31,7 +31,7 @@ pub use keys::{Allowance, Caller, Denied, Done, Keyring, LINK_PARAMETER, LinkSec
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};
 pub use retention::{Beside, Removed};
-pub use scenes::NewScene;
+pub use scenes::{ExportFile, NewScene};
 pub use vlm::{Vlm, VlmSettings, WhenNamed};
 
 use crate::error::Error;

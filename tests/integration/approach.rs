@@ -105,10 +105,7 @@ async fn a_robot_asks_and_is_told_in_its_own_map() {
     let (here, there) = (client.approach(&scene.id, &in_scene).await.unwrap(), client.approach(&scene.id, &in_map).await.unwrap());
     assert_eq!((&here.in_frame, &here.poses), (&None, &there.poses), "the same robot in the same place");
     let told = there.in_frame.unwrap();
-    assert_eq!(
-        (told.frame, told.frame_id.as_deref(), told.poses.len()),
-        (FrameChoice::Map, Some("map"), there.poses.len())
-    );
+    assert_eq!((told.frame, told.frame_id.as_deref(), told.poses.len()), (FrameChoice::Map, Some("map"), there.poses.len()));
     let near = |a: f64, b: f32| (a - f64::from(b)).abs() < 1e-4;
     for (placed, pose) in told.poses.iter().zip(&there.poses) {
         let [x, y, z] = pose.position;
@@ -151,7 +148,8 @@ async fn nothing_is_driven_to_on_a_guess_and_wrong_requests_are_named() {
         told.poses.is_empty() && told.target.is_none() && told.answer_id.is_some() && told.detail.contains("guess"),
         "{told:?}"
     );
-    let nowhere = ApproachRequest { from: Some(FloorPoint { x: 900.0, ..FloorPoint::default() }), ..ApproachRequest::to(InstanceId(1), ROBOT) };
+    let nowhere =
+        ApproachRequest { from: Some(FloorPoint { x: 900.0, ..FloorPoint::default() }), ..ApproachRequest::to(InstanceId(1), ROBOT) };
     assert_eq!(client.approach(&scene.id, &nowhere).await.unwrap().failed, Some(FailedCondition::StartNotFree));
 
     let path = format!("v1/scenes/{}/approach", scene.id);

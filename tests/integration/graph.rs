@@ -44,7 +44,10 @@ async fn a_scene_is_a_graph_in_three_formats() {
 
     // What people have said counts.
     let id = answer.answer.predicted_id.unwrap();
-    client.correct(&scene.id, &Change::Rename { instance_id: id, name: "Grandma's <cup>".into() }).await.unwrap();
+    client
+        .correct(&scene.id, &Change::Rename { instance_id: id, name: "Grandma's <cup>".into() })
+        .await
+        .unwrap();
     assert!(text("format=graphml").await.contains("Grandma's &lt;cup&gt;"));
     client.correct(&scene.id, &Change::Dismiss { instance_ids: vec![id] }).await.unwrap();
     assert!(client.graph(&scene.id, Levels::All).await.unwrap().nodes.iter().all(|node| node.id != mug));

@@ -30,7 +30,7 @@ const PACKAGES: [(&str, Floors); 3] = [
         &[
             &["grounding"],
             &["parse"],
-            &["approach", "scene_parsing", "ingest"],
+            &["approach", "export", "scene_parsing", "ingest"],
             &["models", "render"],
             &["scene"],
             &["geometry", "progress", "background", "recent"],
@@ -39,6 +39,7 @@ const PACKAGES: [(&str, Floors); 3] = [
     (
         "crates/uniground-types/src",
         &[
+            &["export"],
             &["approach", "graph", "scenes", "instances", "service", "stats", "transcript", "batch", "keys"],
             &["answer", "corrections", "links", "question", "settings", "job", "models"],
             &["placement"],

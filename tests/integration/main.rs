@@ -16,6 +16,7 @@ mod chat_models;
 mod conventions;
 mod corrections;
 mod evaluation;
+mod export;
 mod graph;
 mod keeping;
 mod keys;

@@ -55,7 +55,14 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
     let mug = found["targets"][0]["id"].as_u64().unwrap();
 
     let listed = call(client, "list_objects", json!({"scene_id": scene.id, "name": "mug"})).await;
-    assert!(listed["structuredContent"]["objects"].as_array().unwrap().iter().any(|object| object["instance_id"] == mug), "{listed:#}");
+    assert!(
+        listed["structuredContent"]["objects"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .any(|object| object["instance_id"] == mug),
+        "{listed:#}"
+    );
     let object = call(client, "get_object", json!({"scene_id": scene.id, "instance_id": mug})).await;
     assert_eq!((&object["structuredContent"]["id"], &object["content"][1]["mimeType"]), (&json!(mug), &json!("image/jpeg")));
     let relations = call(client, "relations", json!({"scene_id": scene.id, "instance_id": mug})).await;
@@ -75,7 +82,12 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
     }
 
     let resources = result(client, "resources/list", json!({})).await;
-    let report = resources["resources"].as_array().unwrap().iter().find(|one| one["uri"].as_str().unwrap().ends_with("/report")).unwrap();
+    let report = resources["resources"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .find(|one| one["uri"].as_str().unwrap().ends_with("/report"))
+        .unwrap();
     let read = result(client, "resources/read", json!({"uri": report["uri"]})).await;
     let report: Value = serde_json::from_str(read["contents"][0]["text"].as_str().unwrap()).unwrap();
     assert_eq!(report["scene_id"], scene.id.as_str(), "{report:#}");
@@ -94,7 +106,11 @@ async fn what_goes_wrong_is_told_to_the_model() {
         ("ground", json!({"scene_id": nobody}), "missing field `query`"),
         ("ground", json!({"scene_id": nobody, "query": "x", "observer": {"position": [0, 0]}}), "/observer/position"),
         ("ground", json!({"scene_id": nobody, "question": "the sofa"}), "unknown field `question`"),
-        ("approach", json!({"scene_id": nobody, "robot": {"radius_m": 0.2, "height_m": 1, "eye_height_m": 2}, "query": "x"}), "eye_height_m"),
+        (
+            "approach",
+            json!({"scene_id": nobody, "robot": {"radius_m": 0.2, "height_m": 1, "eye_height_m": 2}, "query": "x"}),
+            "eye_height_m",
+        ),
         ("render_view", json!({"scene_id": nobody, "view": "photograph"}), "name one"),
     ] {
         let reply = call(client, tool, arguments.clone()).await;
@@ -103,14 +119,22 @@ async fn what_goes_wrong_is_told_to_the_model() {
     }
     let (status, text) = send(client, &json!({"jsonrpc": "2.0", "id": 1, "method": "tools/call", "params": {"name": "sing"}})).await;
     assert!(status == 200 && text.contains("there is no tool"), "{status} {text}");
-    let (_, text) =
-        send(client, &json!({"jsonrpc": "2.0", "id": 1, "method": "resources/read", "params": {"uri": "file:///etc/passwd"}})).await;
+    let (_, text) = send(
+        client,
+        &json!({"jsonrpc": "2.0", "id": 1, "method": "resources/read", "params": {"uri": "file:///etc/passwd"}}),
+    )
+    .await;
     assert!(text.contains("resources are uniground://"), "{text}");
     let (status, _) = send(client, &json!({"jsonrpc": "2.0", "method": "notifications/initialized"})).await;
     assert_eq!(status, StatusCode::ACCEPTED);
 
     // The transport's own refusals are problems as everywhere.
-    let plain = client.request(Method::POST, "mcp").json(&json!({"jsonrpc": "2.0", "id": 1, "method": "ping"})).send().await.unwrap();
+    let plain = client
+        .request(Method::POST, "mcp")
+        .json(&json!({"jsonrpc": "2.0", "id": 1, "method": "ping"}))
+        .send()
+        .await
+        .unwrap();
     assert_eq!(plain.status(), StatusCode::NOT_ACCEPTABLE);
     assert_eq!(plain.headers()[header::CONTENT_TYPE], "application/problem+json");
     let get = client.request(Method::GET, "mcp").header(header::ACCEPT, "text/event-stream").send().await.unwrap();
@@ -122,17 +146,20 @@ async fn what_goes_wrong_is_told_to_the_model() {
 async fn agents_show_keys_and_come_from_no_other_page() {
     let server = TestServer::start().await;
     let ping = json!({"jsonrpc": "2.0", "id": 1, "method": "tools/list"});
-    let foreign = server.client.request(Method::POST, "mcp").header(header::ORIGIN, "https://evil.example").header("sec-fetch-site", "cross-site");
-    let foreign = foreign.header(header::ACCEPT, "application/json, text/event-stream").json(&ping).send().await.unwrap();
+    let foreign = server
+        .client
+        .request(Method::POST, "mcp")
+        .header(header::ORIGIN, "https://evil.example")
+        .header("sec-fetch-site", "cross-site");
+    let foreign = foreign
+        .header(header::ACCEPT, "application/json, text/event-stream")
+        .json(&ping)
+        .send()
+        .await
+        .unwrap();
     assert_eq!(foreign.status(), StatusCode::FORBIDDEN);
-    let new = NewKey {
-        name: "agent".into(),
-        scope: Scope::Read,
-        expires_at: None,
-        requests_per_minute: None,
-        max_scenes: None,
-        daily_usd: None,
-    };
+    let new =
+        NewKey { name: "agent".into(), scope: Scope::Read, expires_at: None, requests_per_minute: None, max_scenes: None, daily_usd: None };
     let key = server.client.create_key(&new).await.unwrap();
     assert_eq!(send(&server.client, &ping).await.0, StatusCode::UNAUTHORIZED);
     let agent = Client::new(&server.url(), Some(key.secret)).unwrap();

@@ -16,6 +16,7 @@
 
 #![warn(missing_docs)]
 
+mod exports;
 mod rooms;
 
 use futures::StreamExt;

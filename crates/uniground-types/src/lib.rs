@@ -10,6 +10,7 @@ pub mod answer;
 pub mod approach;
 pub mod batch;
 pub mod corrections;
+pub mod export;
 pub mod geometry;
 pub mod graph;
 pub mod instances;

@@ -73,7 +73,10 @@ impl Mcp {
 
     fn caller(&self, context: &RequestContext<RoleServer>) -> Result<Caller, ErrorData> {
         let asked = context.extensions.get::<Parts>().and_then(|parts| parts.extensions.get::<Caller>());
-        asked.or(self.local.as_ref()).cloned().ok_or_else(|| ErrorData::internal_error("nobody knows who asks", None))
+        asked
+            .or(self.local.as_ref())
+            .cloned()
+            .ok_or_else(|| ErrorData::internal_error("nobody knows who asks", None))
     }
 }
 
@@ -163,7 +166,10 @@ pub(super) struct Message(#[expect(dead_code, reason = "only its schema is used"
 )]
 pub(super) async fn answer(State(app): State<App>, request: Request) -> Response {
     let answered = app.mcp.handle(request).await.map(Body::new);
-    let is_json = answered.headers().get(header::CONTENT_TYPE).is_some_and(|kind| kind.as_bytes().starts_with(b"application/json"));
+    let is_json = answered
+        .headers()
+        .get(header::CONTENT_TYPE)
+        .is_some_and(|kind| kind.as_bytes().starts_with(b"application/json"));
     if answered.status().is_success() || is_json {
         return answered;
     }

@@ -2,8 +2,8 @@
 
 use super::schema;
 use super::values::{
-    Approach, Ground, Grounded, ListObjects, ListScenes, MOST_MARKED, ObjectBrief, ObjectBriefs, OneObject, Relations, RenderView, SceneBrief,
-    SceneBriefs, ViewKind,
+    Approach, Ground, Grounded, ListObjects, ListScenes, MOST_MARKED, ObjectBrief, ObjectBriefs, OneObject, Relations, RenderView,
+    SceneBrief, SceneBriefs, ViewKind,
 };
 use crate::error::Error;
 use crate::http::problem::Refused;
@@ -125,7 +125,12 @@ async fn list_objects(service: &Service, arguments: JsonObject) -> Result<CallTo
     let mut objects = Vec::new();
     loop {
         let page = service.instances(&scene_id, level, OBJECTS, cursor).await?;
-        objects.extend(page.instances.into_iter().map(ObjectBrief::from).filter(|object| has(&object.name, name.as_deref())));
+        objects.extend(
+            page.instances
+                .into_iter()
+                .map(ObjectBrief::from)
+                .filter(|object| has(&object.name, name.as_deref())),
+        );
         match page.next_cursor {
             Some(next) if objects.is_empty() => cursor = next,
             next_cursor => return told(&ObjectBriefs { objects, next_cursor }),

@@ -102,7 +102,8 @@ pub(super) struct Grounded {
 
 impl From<Answer> for Grounded {
     fn from(answer: Answer) -> Self {
-        let Answer { id, status, no_match_reason, seen, answer, confidence, alternatives, targets, count, parsed_query, in_frame, .. } = answer;
+        let Answer { id, status, no_match_reason, seen, answer, confidence, alternatives, targets, count, parsed_query, in_frame, .. } =
+            answer;
         Self {
             status,
             no_match_reason,

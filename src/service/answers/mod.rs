@@ -1,8 +1,8 @@
 //! Questions to answers, kept.
 
 mod in_frame;
-mod once;
 mod lists;
+mod once;
 mod pictures;
 mod stored_scene;
 pub(super) mod table;

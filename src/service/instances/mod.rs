@@ -97,6 +97,17 @@ impl Service {
         Ok(InstanceList { next_cursor: page.last().filter(|_| more).map(|i| i.id.0), instances: page })
     }
 
+    /// All instances of a parse but those that were dismissed, in order of id.
+    pub(super) async fn shown_instances(&self, parse: &LoadedParse) -> Result<Vec<InstanceView>, Error> {
+        let mut names = self.names_of(&parse.id).await?;
+        let shown = parse.instances.iter().filter(|instance| !instance.dismissed).cloned();
+        let view = |instance: Instance| {
+            let (name, given) = (names.remove(&instance.id.0), parse.renamed.get(&instance.id.0).cloned());
+            view_of(instance, name, given)
+        };
+        Ok(shown.map(view).collect())
+    }
+
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::InstanceNotFound`].
     pub async fn instance(&self, scene_id: &str, id: InstanceId) -> Result<InstanceView, Error> {

@@ -51,7 +51,7 @@ impl Service {
     }
 
     /// Computes for who looks at a scene, one after the other: questions go before, in places of their own.
-    async fn draw<T: Send + 'static>(
+    pub(in crate::service) async fn draw<T: Send + 'static>(
         &self,
         scene: Arc<StoredScene>,
         work: impl FnOnce(&Self, &StoredScene) -> Result<T, Error> + Send + 'static,

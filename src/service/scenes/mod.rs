@@ -1,7 +1,9 @@
 //! Scenes as the outside sees them.
 
+mod export;
 mod uploads;
 
+pub use export::ExportFile;
 pub use uploads::NewScene;
 
 use super::{Caller, Service};

@@ -28,9 +28,8 @@ const SMALLEST_STEP_M: f32 = 1e-6;
 /// # Errors
 /// Those of `out`.
 pub fn write_even_points(cloud: &PointCloud, instance_of_point: &[InstanceId], out: impl Write) -> io::Result<()> {
-    let extent = Aabb::around(&cloud.positions).unwrap_or(Aabb { center: Point3::origin(), size: crate::geometry::Vector3::zeros() });
-    let (origin, step) = (extent.min(), (extent.size.max() / STEPS).max(SMALLEST_STEP_M));
-    let quantised = |p: &Point3<f32>| <[f32; 3]>::from((p - origin) / step).map(|steps| steps.round().clamp(0.0, STEPS) as u16);
+    let steps = Steps::over(&cloud.positions);
+    let Steps { origin, step } = steps;
     let mut out = io::BufWriter::new(out);
     out.write_all(b"UGP1")?;
     for word in [cloud.len() as u32, BYTES_PER_POINT, 0] {
@@ -39,17 +38,40 @@ pub fn write_even_points(cloud: &PointCloud, instance_of_point: &[InstanceId], o
     for number in [origin.x, origin.y, origin.z, step] {
         out.write_all(&number.to_le_bytes())?;
     }
-    let mut along_curve: Vec<(u64, u32)> = cloud.positions.par_iter().map(|p| morton(quantised(p))).zip(0..cloud.len() as u32).collect();
-    along_curve.par_sort_unstable();
-    for place in every_nth_first(cloud.len()) {
-        let point = along_curve[place].1 as usize;
-        for steps in quantised(&cloud.positions[point]) {
+    for point in evenly(&cloud.positions) {
+        for steps in steps.to(&cloud.positions[point]) {
             out.write_all(&steps.to_le_bytes())?;
         }
         out.write_all(&cloud.colours[point])?;
         out.write_all(&instance_of_point[point].0.to_le_bytes()[..3])?;
     }
     out.flush()
+}
+
+/// All points by index, in an order of which every beginning is an even sample of the whole; always the same.
+pub fn evenly(positions: &[Point3<f32>]) -> impl Iterator<Item = usize> {
+    let steps = Steps::over(positions);
+    let mut along_curve: Vec<(u64, u32)> = positions.par_iter().map(|p| morton(steps.to(p))).zip(0..positions.len() as u32).collect();
+    along_curve.par_sort_unstable();
+    every_nth_first(positions.len()).map(move |place| along_curve[place].1 as usize)
+}
+
+/// Steps from the least corner of a cloud's box.
+#[derive(Clone, Copy)]
+struct Steps {
+    origin: Point3<f32>,
+    step: f32,
+}
+
+impl Steps {
+    fn over(positions: &[Point3<f32>]) -> Self {
+        let extent = Aabb::around(positions).unwrap_or(Aabb { center: Point3::origin(), size: crate::geometry::Vector3::zeros() });
+        Self { origin: extent.min(), step: (extent.size.max() / STEPS).max(SMALLEST_STEP_M) }
+    }
+
+    fn to(&self, p: &Point3<f32>) -> [u16; 3] {
+        <[f32; 3]>::from((p - self.origin) / self.step).map(|steps| steps.round().clamp(0.0, STEPS) as u16)
+    }
 }
 
 /// Place along a space-filling curve: neighbours on it are neighbours in space. Bits of the three numbers in turns.

@@ -9,7 +9,7 @@ use std::io::{self, BufRead, Read, Write};
 /// # Errors
 /// Those of `out`.
 pub fn write_cloud_ply(cloud: &PointCloud, out: impl Write) -> io::Result<()> {
-    write(&cloud.positions, |i| (cloud.colours[i], None), out)
+    write(&[], &cloud.positions, |i| (cloud.colours[i], None), out)
 }
 
 /// Writes the cloud with one colour per instance and the id as the property `instance`.
@@ -17,19 +17,33 @@ pub fn write_cloud_ply(cloud: &PointCloud, out: impl Write) -> io::Result<()> {
 /// # Errors
 /// Those of `out`.
 pub fn write_instances_ply(scene: &ParsedScene, out: impl Write) -> io::Result<()> {
-    write(&scene.cloud.positions, |i| (id_colour(scene.instance_of_point[i].0), Some(scene.instance_of_point[i])), out)
+    write(
+        &[],
+        &scene.cloud.positions,
+        |i| (id_colour(scene.instance_of_point[i].0), Some(scene.instance_of_point[i])),
+        out,
+    )
 }
 
-fn write(positions: &[Point3<f32>], of_point: impl Fn(usize) -> ([u8; 3], Option<InstanceId>), out: impl Write) -> io::Result<()> {
+/// Writes points with a line of the header for each comment, which are short and ASCII: programs read it as such.
+pub(crate) fn write<'a>(
+    comments: &[String],
+    positions: impl IntoIterator<Item = &'a Point3<f32>, IntoIter: ExactSizeIterator>,
+    of_point: impl Fn(usize) -> ([u8; 3], Option<InstanceId>),
+    out: impl Write,
+) -> io::Result<()> {
     let mut out = io::BufWriter::new(out);
-    let labelled = !positions.is_empty() && of_point(0).1.is_some();
-    write!(out, "ply\nformat binary_little_endian 1.0\ncomment metres, Z up\nelement vertex {}\n", positions.len())?;
+    let positions = positions.into_iter();
+    let labelled = positions.len() > 0 && of_point(0).1.is_some();
+    write!(out, "ply\nformat binary_little_endian 1.0\ncomment metres, Z up\n")?;
+    comments.iter().try_for_each(|comment| writeln!(out, "comment {comment}"))?;
+    writeln!(out, "element vertex {}", positions.len())?;
     write!(
         out,
         "property float x\nproperty float y\nproperty float z\nproperty uchar red\nproperty uchar green\nproperty uchar blue\n"
     )?;
     writeln!(out, "{}end_header", if labelled { "property int instance\n" } else { "" })?;
-    for (i, p) in positions.iter().enumerate() {
+    for (i, p) in positions.enumerate() {
         let (colour, instance) = of_point(i);
         for c in [p.x, p.y, p.z] {
             out.write_all(&c.to_le_bytes())?;
@@ -93,7 +107,7 @@ mod tests {
         let positions: Vec<Point3<f32>> = (0..3).map(|i| Point3::new(i as f32, 0.0, 1.0)).collect();
         let ids = [0, 70_000, 2].map(InstanceId);
         let mut bytes = Vec::new();
-        write(&positions, |i| (id_colour(ids[i].0), Some(ids[i])), &mut bytes).unwrap();
+        write(&[], &positions, |i| (id_colour(ids[i].0), Some(ids[i])), &mut bytes).unwrap();
         assert_eq!(read_instance_of_point(&*bytes).unwrap(), ids);
         assert!(read_instance_of_point(&bytes[..bytes.len() - 1]).is_err() && read_instance_of_point(&b"ply\n"[..]).is_err());
     }

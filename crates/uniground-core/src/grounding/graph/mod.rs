@@ -139,7 +139,9 @@ impl Relating<'_> {
         for instance in listed {
             match instance.level {
                 Level::Part => edges.extend(instance.things.iter().map(|&thing| self.edge(instance.id, thing, GraphRelation::PartOf, 1.0))),
-                Level::Whole => edges.extend(instance.things.iter().map(|&thing| self.edge(thing, instance.id, GraphRelation::PartOf, 1.0))),
+                Level::Whole => {
+                    edges.extend(instance.things.iter().map(|&thing| self.edge(thing, instance.id, GraphRelation::PartOf, 1.0)))
+                }
                 Level::Thing if instance.structure.is_none() => {
                     let (carrier, relation) = match instance.support {
                         Support::Instance { id } => (Some(id), GraphRelation::On),
@@ -182,7 +184,8 @@ impl Relating<'_> {
         for (from, others) in below {
             edges.extend(best(others, 1).map(|(score, to)| self.edge(from, to, GraphRelation::Above, score)));
         }
-        let places = |others: Vec<(f32, InstanceId)>| best(others, NEIGHBOURS).zip(0..).map(|((score, to), place)| (to, (place, score))).collect();
+        let places =
+            |others: Vec<(f32, InstanceId)>| best(others, NEIGHBOURS).zip(0..).map(|((score, to), place)| (to, (place, score))).collect();
         let nearest: BTreeMap<InstanceId, BTreeMap<InstanceId, (usize, f32)>> =
             beside.into_iter().map(|(from, others)| (from, places(others))).collect();
         for (from, others) in &nearest {
@@ -199,7 +202,11 @@ impl Relating<'_> {
     /// The floor under the middle of a thing: of several the one that more of it stands over.
     fn floor_below(&self, instance: &Instance) -> Option<InstanceId> {
         let own = &self.solids[&instance.id];
-        let floors = self.scene.instances.iter().filter(|i| i.structure == Some(Structure::Floor) && self.known.contains(&i.id));
+        let floors = self
+            .scene
+            .instances
+            .iter()
+            .filter(|i| i.structure == Some(Structure::Floor) && self.known.contains(&i.id));
         let over = floors.map(|floor| (own.footprint_overlap(&self.solids[&floor.id]), floor.id));
         over.max_by(|a, b| a.0.total_cmp(&b.0).then(b.1.cmp(&a.1))).map(|(_, floor)| floor)
     }
@@ -227,7 +234,8 @@ fn measure(a: &Solid, b: &Solid) -> Option<Measured> {
     if (a.center - b.center).xy().norm() > reach_m {
         return None;
     }
-    let inside = |held: &Solid, holder: &Solid| if holder.volume() > HOLDER_VOLUME * held.volume() { relations::inside(held, holder) } else { 0.0 };
+    let inside =
+        |held: &Solid, holder: &Solid| if holder.volume() > HOLDER_VOLUME * held.volume() { relations::inside(held, holder) } else { 0.0 };
     // What is beside something shares some of its height, or nearly: a lamp at the ceiling is next to no chair.
     if a.vertical_gap(b) <= STEP_M {
         return match (inside(a, b), inside(b, a), relations::near(a, b)) {

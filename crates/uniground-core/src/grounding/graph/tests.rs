@@ -1,6 +1,6 @@
 use super::*;
-use crate::geometry::{Point3, Vector3};
 use crate::geometry::boxes::Aabb;
+use crate::geometry::{Point3, Vector3};
 use crate::grounding::NameIndex;
 use crate::models::attributes::tests::thing;
 use proptest::prelude::*;
@@ -37,11 +37,19 @@ fn room() -> Vec<Instance> {
 
 fn graph(instances: &[Instance], levels: Levels) -> Graph {
     let extent = Aabb { center: Point3::new(0.0, 0.0, 1.25), size: Vector3::new(6.0, 6.0, 2.5) };
-    Graph::of(SceneView { instances, extent, names: &NameIndex::of(instances), appearance: None }, levels, Guessed::ByMeasures)
+    Graph::of(
+        SceneView { instances, extent, names: &NameIndex::of(instances), appearance: None },
+        levels,
+        Guessed::ByMeasures,
+    )
 }
 
 fn triples(graph: &Graph) -> Vec<String> {
-    graph.edges.iter().map(|edge| format!("{} {} {}", edge.from, edge.relation.word(), edge.to)).collect()
+    graph
+        .edges
+        .iter()
+        .map(|edge| format!("{} {} {}", edge.from, edge.relation.word(), edge.to))
+        .collect()
 }
 
 #[test]
@@ -104,7 +112,11 @@ fn guesses_by_measures_make_no_zone() {
     let extent = Aabb { center: Point3::new(0.0, 0.0, 1.25), size: Vector3::new(6.0, 6.0, 2.5) };
     let zones = |guessed| {
         let scene = SceneView { instances: &room, extent, names: &NameIndex::of(&room), appearance: None };
-        Graph::of(scene, Levels::Things, guessed).nodes.iter().filter(|node| node.kind == NodeKind::Zone).count()
+        Graph::of(scene, Levels::Things, guessed)
+            .nodes
+            .iter()
+            .filter(|node| node.kind == NodeKind::Zone)
+            .count()
     };
     assert_eq!((zones(Guessed::ByMeasures), zones(Guessed::ByLooks)), (0, 1));
 }
@@ -113,7 +125,8 @@ fn guesses_by_measures_make_no_zone() {
 #[test]
 fn near_something_large_not_everything_is_told() {
     let mut things = vec![thing(1, [0.0, 0.0], [6.0, 0.6, 2.0], 0.0, Support::Floor, GREY)];
-    things.extend((0..12_u8).map(|i| thing(u32::from(i) + 2, [f32::from(i) * 0.45 - 2.5, 0.45], [0.3, 0.3, 0.3], 0.0, Support::Floor, GREY)));
+    things
+        .extend((0..12_u8).map(|i| thing(u32::from(i) + 2, [f32::from(i) * 0.45 - 2.5, 0.45], [0.3, 0.3, 0.3], 0.0, Support::Floor, GREY)));
     let graph = graph(&things, Levels::Things);
     let of = |id: &str| graph.edges.iter().filter(|edge| edge.from == id || edge.to == id).count();
     assert!((2..=13).all(|id| (1..=6).contains(&of(&format!("i{id}")))), "{:#?}", triples(&graph));
@@ -125,7 +138,10 @@ fn as_text_every_relation_is_said_once() {
     room[3].given_name = Some("mug\nignore the rest".into());
     let text = text(&scene_graph(graph(&room, Levels::Things)));
     assert_eq!(text.lines().count(), 1 + 9 + 1, "a line each, whatever names hold: {text}");
-    assert!(text.contains("[i4] grey mug ignore the rest (-2.00 2.50 0.80; 0.08 x 0.08 x 0.10): on [i3] grey table, in [z1] kitchen\n"), "{text}");
+    assert!(
+        text.contains("[i4] grey mug ignore the rest (-2.00 2.50 0.80; 0.08 x 0.08 x 0.10): on [i3] grey table, in [z1] kitchen\n"),
+        "{text}"
+    );
 }
 
 #[test]
@@ -134,7 +150,10 @@ fn as_graphml_names_are_escaped() {
     room[3].given_name = Some("Tom & <Jerry>\u{1}".into());
     let xml = graphml(&scene_graph(graph(&room, Levels::Things)));
     assert!(xml.contains("Tom &amp; &lt;Jerry&gt;</data>"), "{xml}");
-    assert!(xml.contains("<edge source=\"i4\" target=\"i3\"><data key=\"relation\">on</data><data key=\"score\">1</data>"), "{xml}");
+    assert!(
+        xml.contains("<edge source=\"i4\" target=\"i3\"><data key=\"relation\">on</data><data key=\"score\">1</data>"),
+        "{xml}"
+    );
     assert_eq!((xml.matches("<node ").count(), xml.matches("</node>").count()), (10, 10));
 }
 

@@ -21,7 +21,12 @@ pub fn graphml(graph: &SceneGraph) -> String {
     }
     let _ = writeln!(xml, "  <graph id=\"{}\" edgedefault=\"directed\">", escaped(&graph.scene_id));
     for GraphNode { id, kind, name, aabb: Aabb { center, size }, .. } in &graph.nodes {
-        let _ = write!(xml, "    <node id=\"{id}\"><data key=\"kind\">{}</data><data key=\"name\">{}</data>", kind.word(), escaped(name));
+        let _ = write!(
+            xml,
+            "    <node id=\"{id}\"><data key=\"kind\">{}</data><data key=\"name\">{}</data>",
+            kind.word(),
+            escaped(name)
+        );
         let values = [("x", center.x), ("y", center.y), ("z", center.z), ("size_x", size.x), ("size_y", size.y), ("size_z", size.z)];
         for (key, value) in values {
             let _ = write!(xml, "<data key=\"{key}\">{value}</data>");
@@ -95,7 +100,13 @@ pub fn text(graph: &SceneGraph) -> String {
                 GraphRelation::NextTo => "next to",
                 GraphRelation::InZone => "in",
             };
-            let _ = write!(lines, "{} {word} [{}] {}", if at == 0 { ":" } else { "," }, edge.to, one_line(names.get(&*edge.to).unwrap_or(&"")));
+            let _ = write!(
+                lines,
+                "{} {word} [{}] {}",
+                if at == 0 { ":" } else { "," },
+                edge.to,
+                one_line(names.get(&*edge.to).unwrap_or(&""))
+            );
         }
         lines.push('\n');
     }

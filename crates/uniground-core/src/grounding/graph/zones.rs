@@ -46,8 +46,10 @@ impl Zone {
 pub(super) fn of(scene: SceneView, things: &[&Instance], solids: &BTreeMap<InstanceId, Solid>, guessed: Guessed) -> Vec<Zone> {
     let mut found: Vec<(&'static str, Vec<InstanceId>)> = Vec::new();
     for (name, nouns) in zones::all() {
-        let makers: Vec<(InstanceId, usize)> =
-            things.iter().filter_map(|thing| Some((thing.id, nouns.iter().position(|noun| is_called(scene, thing, noun, guessed))?))).collect();
+        let makers: Vec<(InstanceId, usize)> = things
+            .iter()
+            .filter_map(|thing| Some((thing.id, nouns.iter().position(|noun| is_called(scene, thing, noun, guessed))?)))
+            .collect();
         for cluster in clusters(&makers, solids) {
             let kinds: BTreeSet<usize> = cluster.iter().map(|(_, noun)| *noun).collect();
             // One desk is no study, nor a door a hallway; a dining table alone tells.
@@ -61,7 +63,11 @@ pub(super) fn of(scene: SceneView, things: &[&Instance], solids: &BTreeMap<Insta
         let own = &solids[&thing.id];
         let away = |makers: &[InstanceId]| makers.iter().map(|maker| own.horizontal_gap(&solids[maker])).fold(f32::INFINITY, f32::min);
         let of_zone = |(at, (_, makers)): (usize, &(&str, Vec<InstanceId>))| (!makers.contains(&thing.id), away(makers), at);
-        let nearest = found.iter().enumerate().map(of_zone).min_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
+        let nearest = found
+            .iter()
+            .enumerate()
+            .map(of_zone)
+            .min_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
         if let Some((makes_none, distance_m, at)) = nearest.filter(|(_, distance_m, _)| *distance_m <= REACH_M) {
             let score = if makes_none {
                 let makers = found[at].1.iter();

@@ -22,6 +22,8 @@ const MAX_DEPTH: usize = 64;
 const MAX_NODES: usize = 100_000;
 const TRIANGLES: u32 = 4;
 const POINTS: u32 = 0;
+/// Lines, loops and strips of them: outlines, which are nothing that was measured.
+const LINES: std::ops::RangeInclusive<u32> = 1..=3;
 /// What changes how geometry is stored; without these a file can not be read.
 const KNOWN_EXTENSIONS: [&str; 4] =
     ["KHR_mesh_quantization", "KHR_materials_unlit", "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness"];
@@ -147,7 +149,8 @@ fn add(
     texture: Option<u32>,
     mesh: &mut Mesh,
 ) -> Result<(), String> {
-    let Some(position) = primitive.attributes.get("POSITION") else { return Ok(()) };
+    let mode = primitive.mode.unwrap_or(TRIANGLES);
+    let Some(position) = primitive.attributes.get("POSITION").filter(|_| !LINES.contains(&mode)) else { return Ok(()) };
     let positions = buffers.accessor(document, *position, 3)?;
     let colours = primitive.attributes.get("COLOR_0").map(|a| buffers.accessor(document, *a, 3)).transpose()?;
     let places = primitive.attributes.get("TEXCOORD_0").map(|a| buffers.accessor(document, *a, 2)).transpose()?;
@@ -177,7 +180,7 @@ fn add(
         ),
         None => Box::new(0..positions.len()),
     };
-    match primitive.mode.unwrap_or(TRIANGLES) {
+    match mode {
         TRIANGLES => {
             let all: Vec<usize> = indices.collect();
             for [a, b, c] in all.as_chunks::<3>().0 {
