@@ -16,6 +16,7 @@ mod chat_models;
 mod conventions;
 mod corrections;
 mod evaluation;
+mod hurry;
 mod keeping;
 mod keys;
 mod language;
