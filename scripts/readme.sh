@@ -1,5 +1,5 @@
 #!/usr/bin/env bash
-# Runs the README's request lines as printed, against a server with built-in parts, and checks the answer.
+# Runs the README's question and its request as printed, the request against a server with built-in parts, and checks the answers.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -10,8 +10,16 @@ trap 'kill "$server" && wait "$server" || true; rm -rf "$data"' EXIT
 for _ in $(seq 100); do grep -q '^listening' "$data/out" && break; sleep 0.1; done
 grep -q '^listening' "$data/out" || { cat "$data/log" >&2; exit 1; }
 
-# The sh block under "One request".
-awk '/^## One request/ { found = 1 } found && /^```$/ { exit } inside { print } found && /^```sh/ { inside = 1 }' README.md >"$data/lines.sh"
+block() { # HEADING: the first sh block under it
+    awk -v heading="## $1" '$0 == heading { found = 1 } found && /^```$/ { exit } inside { print } found && /^```sh/ { inside = 1 }' README.md
+}
+
+block "One question" >"$data/question.sh"
+grep -q "uniground ground" "$data/question.sh"
+XDG_CACHE_HOME="$data/cache" bash -euo pipefail "$data/question.sh" | tee "$data/table"
+grep -q 'grounded' "$data/table"
+
+block "One request" >"$data/lines.sh"
 grep -q curl "$data/lines.sh"
 bash -euo pipefail "$data/lines.sh" | tee "$data/answer"
 grep -q '"status": "grounded"' "$data/answer"

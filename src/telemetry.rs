@@ -14,7 +14,16 @@ use tracing_subscriber::{EnvFilter, Layer, fmt};
 
 /// Warnings and errors only, for commands whose output is for people.
 pub fn start_quiet() {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("warn"));
+    start_at("warn");
+}
+
+/// The same for commands that tell by themselves what became of the job they wait for.
+pub fn start_quiet_about_jobs() {
+    start_at("warn,uniground::jobs::lane=error");
+}
+
+fn start_at(levels: &str) {
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(levels));
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| Scrubbed);
     if let Err(error) = log.try_init() {
         tracing::debug!(%error, "logging runs already");

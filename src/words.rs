@@ -4,7 +4,7 @@ use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::de::DeserializeOwned;
 use uniground_core::models::neural::Provider;
 use uniground_types::keys::Scope;
-use uniground_types::question::{EvidenceMode, ReasonerChoice};
+use uniground_types::question::{EvidenceMode, FrameChoice, ReasonerChoice};
 use uniground_types::settings::ParsePreset;
 
 /// What computes.
@@ -40,6 +40,14 @@ pub fn evidence() -> impl TypedValueParser<Value = EvidenceMode> {
     ])
 }
 
+pub fn frame() -> impl TypedValueParser<Value = FrameChoice> {
+    words(&[
+        ("scene", "The scene's own: metres, Z up"),
+        ("source", "Those of the files the scan was read from"),
+        ("map", "Those of the map that the scene lies in (scene_to_map)"),
+    ])
+}
+
 /// Words in the spelling of the command line; the API writes them with underscores.
 fn words<T: DeserializeOwned + Clone + Send + Sync + 'static>(known: &[(&'static str, &'static str)]) -> impl TypedValueParser<Value = T> {
     let value = |(word, help): &(&'static str, &'static str)| {
@@ -67,6 +75,7 @@ mod tests {
         check(preset());
         check(reasoner());
         check(evidence());
+        check(frame());
         check(scope());
     }
 }

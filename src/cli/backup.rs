@@ -1,10 +1,12 @@
 //! `uniground backup`: a consistent copy of a data folder, while its server runs.
 
+use super::output::print_json;
 use super::table::size;
 use crate::store::{BackedUp, Target, back_up};
 use crate::telemetry;
-use anyhow::bail;
+use anyhow::{bail, ensure};
 use camino::Utf8PathBuf;
+use serde_json::json;
 use std::time::Instant;
 
 #[derive(Debug, clap::Args)]
@@ -14,16 +16,27 @@ pub struct BackupArgs {
     /// Folder of the server, which may run
     #[arg(long, env = "UNIGROUND_DATA_DIR", default_value = "./data")]
     data_dir: Utf8PathBuf,
+    /// Print what it came to as JSON; not beside an archive on standard output
+    #[arg(long)]
+    json: bool,
 }
 
-pub async fn run(BackupArgs { to, data_dir }: &BackupArgs) -> anyhow::Result<()> {
+pub async fn run(BackupArgs { to, data_dir, json: as_json }: &BackupArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
+    ensure!(!(*as_json && to == "-"), "--json: standard output is the backup itself");
     let begun = Instant::now();
     let done = back_up(data_dir, Target::of(to)).await?;
     let BackedUp { scenes, answers, folders, bytes, new_folders, new_bytes, left_out } = done;
     // Standard output may be the backup itself.
     eprintln!("{to}: {scenes} scenes, {answers} answers, {folders} folders, {}", size(bytes));
     eprintln!("new: {new_folders} folders, {}, in {:.1} s", size(new_bytes), begun.elapsed().as_secs_f32());
+    if *as_json {
+        let left_out: Vec<_> = left_out.iter().map(|(folder, what)| json!({"folder": folder, "what": what})).collect();
+        print_json(&json!({
+            "to": to, "scenes": scenes, "answers": answers, "folders": folders, "bytes": bytes,
+            "new_folders": new_folders, "new_bytes": new_bytes, "left_out": left_out,
+        }))?;
+    }
     for (folder, what) in &left_out {
         eprintln!("left out: {folder}: {what}");
     }

@@ -1,5 +1,8 @@
 //! `uniground batch`: lists of questions to a running server.
 
+use super::choosing;
+use super::output::print_json;
+use super::server::ServerArgs;
 use anyhow::{Context, bail};
 use camino::{Utf8Path, Utf8PathBuf};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -27,7 +30,7 @@ enum Command {
 struct RunArgs {
     /// Questions, a line each: plain, or as JSON with a scene of their own and whatever else a question may have
     file: Utf8PathBuf,
-    /// The scene of lines that name none
+    /// The scene of lines that name none: its name, its id, or how one of them begins
     #[arg(long)]
     scene: Option<String>,
     /// Where results go, a line of JSON each; default: standard output
@@ -42,16 +45,22 @@ struct RunArgs {
     /// Most that all questions together may cost, US dollars
     #[arg(long, value_name = "USD")]
     max_cost_usd: Option<f64>,
-    /// Address of the server
-    #[arg(long, env = "UNIGROUND_SERVER", default_value = "http://127.0.0.1:8080")]
-    server: String,
+    #[command(flatten)]
+    server: ServerArgs,
+    /// Print what became of the batch as JSON; results then go to --out
+    #[arg(long, requires = "out")]
+    json: bool,
 }
 
 pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyhow::Result<()> {
-    let client = Client::new(&args.server, std::env::var("UNIGROUND_API_KEY").ok())?;
+    let client = args.server.client()?;
     let lines = lines_of(&fs::read_to_string(&args.file).with_context(|| args.file.to_string())?);
     let mut out = Out::open(args.out.as_deref())?;
-    let mut batch = submit(&client, args, lines).await?;
+    let scene = match &args.scene {
+        Some(scene) => Some(choosing::id_of(&client, scene).await?),
+        None => None,
+    };
+    let mut batch = submit(&client, args, scene, lines).await?;
     let bar = progress_bar(batch.items);
     loop {
         bar.set_position(u64::from(out.lines));
@@ -82,6 +91,9 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
     }
     bar.finish_and_clear();
     eprintln!("{}", told(&batch));
+    if args.json {
+        print_json(&batch)?;
+    }
     match batch.state {
         BatchState::Paused => {
             let why = batch.reason.unwrap_or_else(|| "somebody paused it".into());
@@ -96,9 +108,9 @@ pub async fn run(BatchArgs { command: Command::Run(args) }: &BatchArgs) -> anyho
 const AWAY: Duration = Duration::from_secs(1);
 
 /// The same questions under the same options are the same batch, however often they are submitted.
-async fn submit(client: &Client, args: &RunArgs, lines: String) -> anyhow::Result<Batch> {
+async fn submit(client: &Client, args: &RunArgs, scene: Option<String>, lines: String) -> anyhow::Result<Batch> {
     let options = [
-        ("scene_id", args.scene.clone()),
+        ("scene_id", scene),
         ("label", args.label.clone()),
         ("concurrency", args.concurrency.map(|c| c.to_string())),
         ("max_cost_usd", args.max_cost_usd.map(|usd| usd.to_string())),

@@ -1,22 +1,18 @@
 //! `uniground demo`: the whole job on the sample scene, against a real server on a free loopback port.
 
-use super::table;
-use crate::app;
-use crate::config::{AccessConfig, BUILTIN, BundlesConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig};
+use super::private::Private;
+use super::{following, table};
+use crate::config::{BUILTIN, BundlesConfig, ModelsConfig};
 use crate::sample::LIVING_ROOM;
 use crate::telemetry;
-use anyhow::{Context, bail};
+use anyhow::Context;
 use camino::{Utf8Path, Utf8PathBuf};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::fs;
-use std::io::IsTerminal;
-use std::net::{Ipv4Addr, SocketAddr};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 use uniground_client::Client;
 use uniground_core::grounding::Status;
 use uniground_core::ingest::archive::ArchiveKind;
 use uniground_types::answer::Answer;
-use uniground_types::job::{Job, JobState};
 use uniground_types::question::GroundRequest;
 use uniground_types::scenes::Scene;
 
@@ -53,21 +49,11 @@ const LISTED: usize = 12;
 pub async fn run(args: &DemoArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
     let data = tempfile::tempdir()?;
-    let config = ServeConfig {
-        listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
-        data_dir: Utf8PathBuf::try_from(data.path().to_owned())?,
-        access: AccessConfig::default(),
-        models: ModelsConfig { masks: args.masks.clone(), encoder: args.encoder.clone(), bundles: args.bundles.clone() },
-        fetch_models: false,
-        vlm: crate::config::VlmConfig::default(),
-        webhook: crate::config::WebhookConfig::default(),
-        limits: crate::config::LimitsConfig::default(),
-        log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
-    };
-    let running = app::start(&config).await?;
-    println!("uniground {} on http://{}, data in a fresh folder\n", env!("CARGO_PKG_VERSION"), running.address);
-    let shown = show(args, &Client::new(&format!("http://{}", running.address), None)?).await;
-    running.stop().await?;
+    let models = ModelsConfig { masks: args.masks.clone(), encoder: args.encoder.clone(), bundles: args.bundles.clone() };
+    let service = Private::start(Utf8PathBuf::try_from(data.path().to_owned())?, models).await?;
+    println!("uniground {} on http://{}, data in a fresh folder\n", env!("CARGO_PKG_VERSION"), service.address);
+    let shown = show(args, &service.client).await;
+    service.stop().await?;
     shown?;
     println!("The service has stopped.");
     Ok(())
@@ -112,38 +98,9 @@ async fn upload(client: &Client, archive: Option<&Utf8Path>) -> anyhow::Result<S
     let start = Instant::now();
     let created = client.create_scene(None, kind.media_type(), bytes).await?;
     let job = created.job.context("the server did not start to parse")?;
-    let bar = progress_bar();
-    let job = client.follow_job(&job.id, |job| advance(&bar, job)).await?;
-    bar.finish_and_clear();
-    match (job.state, job.error) {
-        (JobState::Succeeded, _) => {
-            println!("Parsed in {:.1} s: {}\n", start.elapsed().as_secs_f32(), job.message.unwrap_or_default());
-            Ok(client.scene(&created.scene.id).await?)
-        }
-        (_, Some(error)) => bail!("parsing failed: {} ({})", error.detail, error.code),
-        (state, None) => bail!("parsing ended as {state:?}"),
-    }
-}
-
-/// A live bar on a terminal; a line now and then elsewhere.
-fn progress_bar() -> ProgressBar {
-    let bar = ProgressBar::with_draw_target(Some(1000), ProgressDrawTarget::stderr());
-    // The template is a constant: it parses or the demo's own test fails.
-    if let Ok(style) = ProgressStyle::with_template("{bar:40} {percent:>3}%  {msg}") {
-        bar.set_style(style);
-    }
-    bar.enable_steady_tick(Duration::from_millis(200));
-    bar
-}
-
-fn advance(bar: &ProgressBar, job: &Job) {
-    let eta = job.eta_s.map_or_else(|| "estimating".to_owned(), |s| format!("{s:.1} s left"));
-    let stage = job.stage.as_deref().unwrap_or("queued");
-    bar.set_position((job.progress * 1000.0) as u64);
-    bar.set_message(format!("{stage:<20} {eta}"));
-    if !std::io::stderr().is_terminal() {
-        eprintln!("{:>5.1}%  {stage:<20} {eta}", job.progress * 100.0);
-    }
+    let told = following::outcome(&following::follow(client, &job.id).await?)?;
+    println!("Parsed in {:.1} s: {told}\n", start.elapsed().as_secs_f32());
+    Ok(client.scene(&created.scene.id).await?)
 }
 
 async fn print_found(client: &Client, scene: &Scene) -> anyhow::Result<()> {

@@ -1,11 +1,13 @@
 //! `uniground doctor`: whether a data folder is whole, and what can be done where it is not. The server must not run.
 
+use super::output::print_json;
 use super::table;
-use crate::service::{Service, Trouble};
+use crate::service::{Finding, Service, Trouble};
 use crate::store::Store;
 use crate::{config, telemetry};
 use anyhow::{Context, bail, ensure};
-use camino::Utf8PathBuf;
+use camino::{Utf8Path, Utf8PathBuf};
+use serde_json::json;
 
 #[derive(Debug, clap::Args)]
 pub struct DoctorArgs {
@@ -15,27 +17,40 @@ pub struct DoctorArgs {
     /// Make again what can be made, take strays to the quarantine, end what has no end
     #[arg(long)]
     repair: bool,
+    /// Print what was found as JSON
+    #[arg(long)]
+    json: bool,
 }
 
 pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
-    let DoctorArgs { data_dir, repair } = args;
+    let DoctorArgs { data_dir, repair, json: as_json } = args;
     ensure!(data_dir.is_dir(), "there is no folder {data_dir}");
     let store = Store::open_as_it_is(data_dir).await.with_context(|| format!("the data folder {data_dir}"))?;
     let service = Service::at_rest(store.clone(), config::LimitsConfig::default().service_limits()).await?;
     let findings = service.examine().await?;
     if findings.is_empty() {
-        println!("{data_dir} is whole");
+        match as_json {
+            true => print_json(&as_value(data_dir, &findings, None))?,
+            false => println!("{data_dir} is whole"),
+        }
         store.close().await;
         return Ok(());
     }
-    println!("{}", table::of_findings(&findings));
+    if !as_json {
+        println!("{}", table::of_findings(&findings));
+    }
     let (cured, left): (Vec<_>, Vec<_>) = findings.iter().partition(|finding| finding.trouble.remedy().is_some());
+    let mut waiting = None;
     if *repair {
         service.repair(&findings).await?;
-        println!("repaired: {}; {} parses wait for the server", cured.len(), service.waiting_parses().await?);
-    } else if !cured.is_empty() {
-        println!("{} of them can be repaired: uniground doctor --repair --data-dir {data_dir}", cured.len());
+        waiting = Some(service.waiting_parses().await?);
+    }
+    match waiting {
+        _ if *as_json => print_json(&as_value(data_dir, &findings, waiting))?,
+        Some(waiting) => println!("repaired: {}; {waiting} parses wait for the server", cured.len()),
+        None if cured.is_empty() => {}
+        None => println!("{} of them can be repaired: uniground doctor --repair --data-dir {data_dir}", cured.len()),
     }
     store.close().await;
     let harmless = |trouble: &Trouble| matches!(trouble, Trouble::StrayFile);
@@ -44,4 +59,16 @@ pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
         0 => Ok(()),
         open => bail!("{open} findings are open"),
     }
+}
+
+/// What was found, with what is done about it; `waiting` parses are told where that was done.
+fn as_value(data_dir: &Utf8Path, findings: &[Finding], waiting: Option<u32>) -> serde_json::Value {
+    let findings: Vec<_> = findings
+        .iter()
+        .map(|Finding { trouble, detail }| json!({"trouble": trouble.to_string(), "detail": detail, "remedy": trouble.remedy()}))
+        .collect();
+    json!({
+        "data_dir": data_dir, "is_whole": findings.is_empty(), "findings": findings,
+        "repaired": waiting.is_some(), "waiting_parses": waiting,
+    })
 }

@@ -1,5 +1,6 @@
 //! `uniground key`: who may ask a server.
 
+use super::output::print_json;
 use super::table;
 use crate::service::Keyring;
 use crate::store::Store;
@@ -200,8 +201,4 @@ async fn revoke(keys: &Keys, key: &str) -> anyhow::Result<Key> {
     let found: Vec<Key> = keys.all().await?.into_iter().filter(|known| known.id == key || known.prefix == key).collect();
     ensure!(!found.is_empty(), "there is no key {key}");
     keys.revoke(&found[0].id).await
-}
-
-fn print_json(value: &impl serde::Serialize) -> anyhow::Result<()> {
-    Ok(writeln!(io::stdout(), "{}", serde_json::to_string_pretty(value)?)?)
 }

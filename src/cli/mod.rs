@@ -2,25 +2,38 @@
 
 mod backup;
 mod batch;
+mod choosing;
+mod completions;
 mod demo;
 mod doctor;
 mod eval;
 mod fetching;
+mod following;
 mod gc;
 mod ground;
+mod hints;
 mod import;
 mod key;
+mod local;
+mod man;
 mod mcp;
 mod models;
 mod openapi;
+mod output;
 mod parse;
+mod private;
 mod report_page;
 mod restore;
+mod scan_file;
+mod scenes;
 mod serve;
+mod server;
 mod table;
+mod upload;
 
 use crate::config::ServeConfig;
-use clap::{Parser, Subcommand};
+use clap::error::ErrorKind;
+use clap::{CommandFactory, Parser, Subcommand};
 
 #[derive(Debug, Parser)]
 #[command(name = "uniground", version, about, max_term_width = 100)]
@@ -35,8 +48,12 @@ enum Command {
     Serve(Box<ServeConfig>),
     /// Show the whole job on the sample scene
     Demo(demo::DemoArgs),
-    /// Ask a running server one question
-    Ground(ground::GroundArgs),
+    /// Ask one question: about a scan on the disk, without a server, or about a scene of a running one
+    Ground(Box<ground::GroundArgs>),
+    /// Bring a scan to a running server, and wait for its parse
+    Upload(upload::UploadArgs),
+    /// List the scenes of a running server
+    Scenes(scenes::ScenesArgs),
     /// Ask a running server many questions
     Batch(batch::BatchArgs),
     /// Serve a data folder to an agent on this machine: the Model Context Protocol over stdin and stdout
@@ -61,6 +78,10 @@ enum Command {
     Restore(restore::RestoreArgs),
     /// Print the OpenAPI description of the service
     Openapi,
+    /// Print what a shell needs to complete the words of this program
+    Completions(completions::CompletionsArgs),
+    /// Print or write pages for man
+    Man(man::ManArgs),
 }
 
 /// Runs the chosen subcommand.
@@ -68,13 +89,19 @@ enum Command {
 /// # Errors
 /// Whatever went wrong, for `main` to print.
 pub fn run(cli: &Cli) -> anyhow::Result<()> {
-    match &cli.command {
+    run_command(&cli.command).map_err(hints::with_help)
+}
+
+fn run_command(command: &Command) -> anyhow::Result<()> {
+    match command {
         Command::Serve(config) => {
             serve::fetch(config);
             asynchronous(serve::run(config))
         }
         Command::Demo(args) => asynchronous(demo::run(args)),
         Command::Ground(args) => asynchronous(ground::run(args)),
+        Command::Upload(args) => asynchronous(upload::run(args)),
+        Command::Scenes(args) => asynchronous(scenes::run(args)),
         Command::Batch(args) => asynchronous(batch::run(args)),
         Command::Mcp(config) => asynchronous(mcp::run(config)),
         Command::Key(args) => asynchronous(key::run(args)),
@@ -87,6 +114,19 @@ pub fn run(cli: &Cli) -> anyhow::Result<()> {
         Command::Backup(args) => asynchronous(backup::run(args)),
         Command::Restore(args) => asynchronous(restore::run(args)),
         Command::Openapi => openapi::run(),
+        Command::Completions(args) => completions::run(args),
+        Command::Man(args) => man::run(args),
+    }
+}
+
+/// Ends the program as clap does where what was typed does not go together: the message, how it is used, and 2.
+fn wrong_usage(subcommand: &str, kind: ErrorKind, message: &str) -> ! {
+    let mut cli = Cli::command();
+    // Without that a subcommand does not know what comes before its name.
+    cli.build();
+    match cli.find_subcommand_mut(subcommand) {
+        Some(subcommand) => subcommand.error(kind, message).exit(),
+        None => cli.error(kind, message).exit(),
     }
 }
 

@@ -1,6 +1,7 @@
 //! `uniground models`: fetch what can be fetched, list what is there, verify that it works.
 
 use super::fetching::fetch_all;
+use super::output::print_json;
 use crate::config::{BundlesConfig, LIBRARY_FOLDER};
 use crate::packages::{PARTS, Part, Places};
 use anyhow::{Context, bail, ensure};
@@ -8,6 +9,7 @@ use camino::Utf8PathBuf;
 use clap::builder::{PossibleValue, PossibleValuesParser};
 use clap::{Args, Subcommand};
 use comfy_table::{Table, presets};
+use serde_json::json;
 use std::io::{self, Write};
 use uniground_core::models::neural::{BundleListing, LoadedModel, folder_of, list, verify};
 
@@ -38,6 +40,9 @@ struct FetchArgs {
     /// Folder for the library
     #[arg(long, default_value = LIBRARY_FOLDER, value_name = "FOLDER")]
     onnxruntime: Utf8PathBuf,
+    /// Print which parts are in place, and where, as JSON
+    #[arg(long)]
+    json: bool,
 }
 
 #[derive(Debug, Args)]
@@ -75,10 +80,15 @@ pub fn run(args: &ModelsArgs) -> anyhow::Result<()> {
 }
 
 fn fetch(args: &FetchArgs) -> anyhow::Result<()> {
-    let FetchArgs { parts, models, onnxruntime } = args;
+    let FetchArgs { parts, models, onnxruntime, json: as_json } = args;
     let places = Places { models: models.clone(), library: onnxruntime.clone() };
     let chosen: Vec<&Part> = PARTS.iter().filter(|part| parts.is_empty() || parts.iter().any(|name| name == part.name)).collect();
-    fetch_all(&chosen, &places, &mut io::stdout().lock())
+    if !as_json {
+        return fetch_all(&chosen, &places, &mut io::stdout().lock());
+    }
+    fetch_all(&chosen, &places, &mut io::stderr())?;
+    let there: Vec<_> = chosen.iter().map(|part| json!({"part": part.name, "folder": part.folder(&places)})).collect();
+    print_json(&there)
 }
 
 fn print_list(args: &ListArgs) -> anyhow::Result<()> {

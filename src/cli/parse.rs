@@ -1,6 +1,6 @@
 //! `uniground parse`: stage 1 on a folder or an archive, without a server.
 
-use super::report_page;
+use super::{hints, report_page};
 use crate::config::{ChosenModels, ModelsConfig};
 use crate::words;
 use anyhow::{Context, ensure};
@@ -68,7 +68,7 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
         fs::create_dir_all(out).with_context(|| format!("--report {out}"))?;
     }
     ensure!(args.scan.exists(), "{}: there is no such file or folder", args.scan);
-    let folder = Unpacked::of(&args.scan)?;
+    let folder = Unpacked::of(&args.scan).map_err(|error| hints::of_scan(error.into(), &args.scan))?;
     let ChosenModels { models, told, warnings } = args.models.load()?;
     warnings.iter().for_each(|warning| eprintln!("warning: {warning}"));
     eprintln!("{told}");
@@ -76,7 +76,7 @@ pub fn run(args: &ParseArgs) -> anyhow::Result<()> {
     let progress = Progress::new(show_progress, || false);
     let scan = parse_scan(&folder.path, &settings, &models, &Checkpoints::none(), &progress);
     show_progress("", 1.0);
-    let ParsedScan { import, frames, scene: parsed, models } = scan?;
+    let ParsedScan { import, frames, scene: parsed, models } = scan.map_err(|error| hints::of_scan(error.into(), &args.scan))?;
 
     let report = Report { import: &import, models: &models, parse: &parsed.report };
     if let Some(out) = &args.report {

@@ -1,10 +1,12 @@
 //! `uniground restore`: a data folder from a backup.
 
+use super::output::print_json;
 use super::table::size;
 use crate::store::{Restored, Source, check, restore};
 use crate::telemetry;
 use anyhow::bail;
 use camino::Utf8PathBuf;
+use serde_json::json;
 
 #[derive(Debug, clap::Args)]
 pub struct RestoreArgs {
@@ -16,9 +18,12 @@ pub struct RestoreArgs {
     /// Only look whether every byte of the backup is as it was written
     #[arg(long)]
     check: bool,
+    /// Print what it held as JSON
+    #[arg(long)]
+    json: bool,
 }
 
-pub async fn run(RestoreArgs { from, data_dir, check: only_check }: &RestoreArgs) -> anyhow::Result<()> {
+pub async fn run(RestoreArgs { from, data_dir, check: only_check, json: as_json }: &RestoreArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
     let source = Source::of(from);
     let (restored, done) = match data_dir {
@@ -27,6 +32,13 @@ pub async fn run(RestoreArgs { from, data_dir, check: only_check }: &RestoreArgs
         None => bail!("--data-dir: where to restore to"),
     };
     let Restored { taken_at, program, scenes, answers, folders, bytes, left_out } = restored;
+    if *as_json {
+        let left_out: Vec<_> = left_out.iter().map(|(folder, what)| json!({"folder": folder, "what": what})).collect();
+        return print_json(&json!({
+            "from": from, "restored_to": data_dir.as_ref().filter(|_| !only_check), "taken_at": taken_at, "program": program,
+            "scenes": scenes, "answers": answers, "folders": folders, "bytes": bytes, "left_out": left_out,
+        }));
+    }
     println!("{done}: {scenes} scenes, {answers} answers, {folders} folders, {}", size(bytes));
     println!("as it was at {taken_at}, by uniground {program}");
     for (folder, what) in left_out {

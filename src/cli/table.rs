@@ -1,12 +1,15 @@
 //! Answers as tables people can read.
 
 use crate::service::{Finding, Removed};
-use comfy_table::{ContentArrangement, Table, presets};
+use comfy_table::{ColumnConstraint, ContentArrangement, Table, presets};
+use jiff::Timestamp;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::{Alternative, Status};
 use uniground_types::answer::Answer;
 use uniground_types::instances::InstanceView;
 use uniground_types::keys::Key;
+use uniground_types::placement::{FrameChoice, InFrame, PlacedBox};
+use uniground_types::scenes::Scene;
 
 const WIDTH: u16 = 110;
 
@@ -37,8 +40,51 @@ pub fn of_answer(answer: &Answer) -> Table {
     table.add_row(vec!["Anchor ID".to_owned(), or_none(fields.anchor_id.map(|id| id.to_string()))]);
     table.add_row(vec!["Relation used".to_owned(), or_none(fields.relation_used.clone())]);
     table.add_row(vec!["Box (m, Z up)".to_owned(), or_none(answer.aabb.as_ref().map(of_box))]);
+    if let Some(placed) = &answer.in_frame {
+        let boxes: Vec<String> = placed.boxes.iter().map(of_placed_box).collect();
+        table.add_row(vec![name_of_frame(placed), or_none(Some(boxes.join("\n")).filter(|boxes| !boxes.is_empty()))]);
+    }
     table.add_row(vec!["Time".to_owned(), format!("{:.2} ms", answer.timings_ms.total)]);
     table
+}
+
+fn name_of_frame(InFrame { frame, frame_id, .. }: &InFrame) -> String {
+    match (frame, frame_id) {
+        (FrameChoice::Map, Some(id)) => format!("Box in {id} (m)"),
+        (FrameChoice::Map, None) => "Box in the map (m)".into(),
+        (FrameChoice::Source | FrameChoice::Scene, _) => "Box in the files".into(),
+    }
+}
+
+fn of_placed_box(PlacedBox { center: c, size: s, orientation: q, .. }: &PlacedBox) -> String {
+    let turned = format!("turned by x, y, z, w = ({:.3}, {:.3}, {:.3}, {:.3})", q[0], q[1], q[2], q[3]);
+    format!("center ({:.2}, {:.2}, {:.2}) size {:.2} x {:.2} x {:.2}, {turned}", c[0], c[1], c[2], s[0], s[1], s[2])
+}
+
+/// Scenes of a server, each with how far it has come.
+pub fn of_scenes(scenes: &[(&Scene, String)]) -> Table {
+    let mut table = empty();
+    table.set_header(vec!["ID", "Name", "State", "Things", "Age"]);
+    for (scene, state) in scenes {
+        let things = scene.counts.as_ref().map_or_else(String::new, |counts| counts.instances.to_string());
+        table.add_row(vec![scene.id.clone(), scene.name.clone(), state.clone(), things, age(&scene.created_at)]);
+    }
+    // A part of an id that is broken in two can not be copied.
+    if let Some(column) = table.column_mut(0) {
+        column.set_constraint(ColumnConstraint::ContentWidth);
+    }
+    table
+}
+
+/// How long ago something was, for people; the time itself where it can not be told.
+pub fn age(at: &str) -> String {
+    let Ok(then) = at.parse::<Timestamp>() else { return at.to_owned() };
+    match Timestamp::now().as_second() - then.as_second() {
+        ..60 => "under 1 min".into(),
+        s @ 60..3600 => format!("{} min", s / 60),
+        s @ 3600..172_800 => format!("{} h", s / 3600),
+        s => format!("{} days", s / 86_400),
+    }
 }
 
 /// What is wrong with a data folder.

@@ -18,6 +18,7 @@ mod corrections;
 mod evaluation;
 mod export;
 mod graph;
+mod hurry;
 mod keeping;
 mod keys;
 mod language;

@@ -17,12 +17,15 @@
 #![warn(missing_docs)]
 
 mod exports;
+mod reply;
 mod rooms;
 
+pub use reply::ClientError;
+
 use futures::StreamExt;
-use reqwest::{Method, RequestBuilder, Response, StatusCode, Url};
+use reply::{checked, json};
+use reqwest::{Method, RequestBuilder, Url};
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 pub use uniground_types as types;
 use uniground_types::answer::{Answer, AnswerList, Shortlisted};
 use uniground_types::batch::{Batch, BatchList, BatchRequest, BatchResult};
@@ -31,7 +34,6 @@ use uniground_types::instances::{InstanceList, InstanceView, Levels};
 use uniground_types::job::{Job, JobList};
 use uniground_types::keys::{AuditList, CreatedKey, Key, KeyList, NewKey};
 use uniground_types::links::{LinkList, LinkRequest};
-use uniground_types::problem::{FieldError, Problem};
 use uniground_types::question::{GroundRequest, ShortlistRequest};
 use uniground_types::scenes::{Created, Scene, SceneChange, SceneList, SceneReport};
 use uniground_types::service::ModelList;
@@ -44,27 +46,6 @@ pub fn choose_cryptography() {
     if rustls::crypto::CryptoProvider::get_default().is_none() {
         let _chosen_meanwhile = rustls::crypto::ring::default_provider().install_default();
     }
-}
-
-/// What can go wrong on the caller's side of the wire.
-#[derive(Debug, thiserror::Error)]
-#[allow(missing_docs)] // Every message says what it is about.
-pub enum ClientError {
-    /// The server said no, and why.
-    #[error("{} ({}){}", .0.detail, .0.code, fields(&.0.errors))]
-    Problem(Box<Problem>),
-    #[error("the server answered {status} without a problem document: {body}")]
-    Unexpected { status: StatusCode, body: String },
-    #[error("the server can not be reached or broke off")]
-    Transport(#[from] reqwest::Error),
-    #[error("the server's answer can not be read")]
-    Undecodable(#[from] serde_json::Error),
-    #[error("{0} is not an address of a server")]
-    BadAddress(String),
-}
-
-fn fields(errors: &[FieldError]) -> String {
-    errors.iter().map(|e| format!("; {}: {}", e.pointer, e.detail)).collect()
 }
 
 /// A server and how to talk to it.
@@ -116,6 +97,16 @@ impl Client {
     ) -> Result<Created, ClientError> {
         let request = self.request(Method::POST, "v1/scenes").header("content-type", media_type);
         json(request.header("idempotency-key", key).query(&[("name", name)]).body(archive)).await
+    }
+
+    /// Uploads whatever is a scan, known by its bytes: an archive, a `.sens` file, a cloud or a mesh. `query` as the API describes it:
+    /// `name`, `parse`, `up`, `preset`.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn upload(&self, scan: impl Into<reqwest::Body>, query: &[(&str, &str)]) -> Result<Created, ClientError> {
+        let request = self.request(Method::POST, "v1/scenes").header("content-type", "application/octet-stream");
+        json(request.query(query).body(scan)).await
     }
 
     /// # Errors
@@ -457,22 +448,4 @@ impl Client {
             None => request,
         }
     }
-}
-
-async fn json<T: DeserializeOwned>(request: RequestBuilder) -> Result<T, ClientError> {
-    let body = checked(request.send().await?).await?.bytes().await?;
-    Ok(serde_json::from_slice(&body)?)
-}
-
-async fn checked(response: Response) -> Result<Response, ClientError> {
-    let status = response.status();
-    if status.is_success() {
-        return Ok(response);
-    }
-    let retry_after_s = response.headers().get("retry-after").and_then(|v| v.to_str().ok()?.parse().ok());
-    let body = response.text().await?;
-    Err(match serde_json::from_str::<Problem>(&body) {
-        Ok(problem) => ClientError::Problem(Box::new(Problem { retry_after_s, ..problem })),
-        Err(_) => ClientError::Unexpected { status, body },
-    })
 }

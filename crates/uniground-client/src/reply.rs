@@ -1,0 +1,44 @@
+//! What comes back: a value, or why there is none.
+
+use reqwest::{RequestBuilder, Response, StatusCode};
+use serde::de::DeserializeOwned;
+use uniground_types::problem::{FieldError, Problem};
+
+/// What can go wrong on the caller's side of the wire.
+#[derive(Debug, thiserror::Error)]
+#[allow(missing_docs)] // Every message says what it is about.
+pub enum ClientError {
+    /// The server said no, and why.
+    #[error("{} ({}){}", .0.detail, .0.code, fields(&.0.errors))]
+    Problem(Box<Problem>),
+    #[error("the server answered {status} without a problem document: {body}")]
+    Unexpected { status: StatusCode, body: String },
+    #[error("the server can not be reached or broke off")]
+    Transport(#[from] reqwest::Error),
+    #[error("the server's answer can not be read")]
+    Undecodable(#[from] serde_json::Error),
+    #[error("{0} is not an address of a server")]
+    BadAddress(String),
+}
+
+fn fields(errors: &[FieldError]) -> String {
+    errors.iter().map(|e| format!("; {}: {}", e.pointer, e.detail)).collect()
+}
+
+pub(crate) async fn json<T: DeserializeOwned>(request: RequestBuilder) -> Result<T, ClientError> {
+    let body = checked(request.send().await?).await?.bytes().await?;
+    Ok(serde_json::from_slice(&body)?)
+}
+
+pub(crate) async fn checked(response: Response) -> Result<Response, ClientError> {
+    let status = response.status();
+    if status.is_success() {
+        return Ok(response);
+    }
+    let retry_after_s = response.headers().get("retry-after").and_then(|v| v.to_str().ok()?.parse().ok());
+    let body = response.text().await?;
+    Err(match serde_json::from_str::<Problem>(&body) {
+        Ok(problem) => ClientError::Problem(Box::new(Problem { retry_after_s, ..problem })),
+        Err(_) => ClientError::Unexpected { status, body },
+    })
+}

@@ -1,0 +1,146 @@
+//! Which scene somebody means: by its id, by how that begins, or by its name.
+
+use super::hints::quoted;
+use super::table;
+use anyhow::bail;
+use uniground_client::{Client, ClientError};
+use uniground_types::scenes::{Scene, SceneStatus};
+
+/// As many as a page holds.
+const PAGE: u32 = 100;
+/// Scenes that an error lists.
+const LISTED: usize = 12;
+/// Characters of an id that is written out.
+const ID: usize = 36;
+
+/// The id of the scene that is meant. A whole id is believed: whether there is such a scene is asked with what is done next.
+///
+/// # Errors
+/// None, or several: the message lists what there is. [`ClientError`].
+pub async fn id_of(client: &Client, wanted: &str) -> anyhow::Result<String> {
+    if wanted.len() == ID && wanted.parse::<uuid::Uuid>().is_ok() {
+        return Ok(wanted.to_owned());
+    }
+    let scenes = all(client).await?;
+    let found = matching(&scenes, wanted);
+    match &found[..] {
+        [only] => Ok(only.id.clone()),
+        [] if scenes.is_empty() => bail!("there is no scene {wanted:?}: there are none yet\n`uniground upload SCAN` brings one"),
+        [] => bail!(
+            "there is no scene {wanted:?}; there are\n{}\n`uniground scenes` tells more of them",
+            listed(&scenes.iter().collect::<Vec<_>>())
+        ),
+        several => bail!(
+            "{wanted:?} may be any of {} scenes:\n{}\nsay more of the name, or of the id; `uniground scenes` tells more of them",
+            several.len(),
+            listed(several)
+        ),
+    }
+}
+
+/// What was to be done with a scene, and there is none such: what there is instead.
+pub async fn known_or(client: &Client, wanted: &str, error: ClientError) -> anyhow::Error {
+    match &error {
+        ClientError::Problem(problem) if problem.code == "scene_not_found" => match all(client).await {
+            Ok(scenes) if scenes.is_empty() => {
+                anyhow::anyhow!("there is no scene {wanted}: there are none yet\n`uniground upload SCAN` brings one")
+            }
+            Ok(scenes) => {
+                let listed = listed(&scenes.iter().collect::<Vec<_>>());
+                anyhow::anyhow!("there is no scene {wanted}; there are\n{listed}\n`uniground scenes` tells more of them")
+            }
+            Err(_) => error.into(),
+        },
+        _ => error.into(),
+    }
+}
+
+/// Every scene of a server, newest first.
+///
+/// # Errors
+/// [`ClientError`].
+pub async fn all(client: &Client) -> Result<Vec<Scene>, ClientError> {
+    let (mut scenes, mut cursor) = (Vec::new(), None);
+    loop {
+        let page = client.scenes(PAGE, cursor.as_deref()).await?;
+        scenes.extend(page.scenes);
+        cursor = page.next_cursor;
+        if cursor.is_none() {
+            return Ok(scenes);
+        }
+    }
+}
+
+/// What `--scene` needs to say so that this scene is meant and no other: its name, or its id where that is shared.
+pub fn shortest(scenes: &[Scene], scene: &Scene) -> String {
+    match matching(scenes, &scene.name)[..] {
+        [only] if only.id == scene.id => quoted(&scene.name),
+        _ => scene.id.clone(),
+    }
+}
+
+/// The first of these that finds any: the id, the name, the name in other letters, the beginning of an id or a name.
+fn matching<'a>(scenes: &'a [Scene], wanted: &str) -> Vec<&'a Scene> {
+    let lower = wanted.to_lowercase();
+    let ways: [&dyn Fn(&Scene) -> bool; 4] =
+        [&|scene| scene.id == lower, &|scene| scene.name == wanted, &|scene| scene.name.to_lowercase() == lower, &|scene| {
+            scene.id.starts_with(&lower) || scene.name.to_lowercase().starts_with(&lower)
+        }];
+    if lower.is_empty() {
+        return Vec::new();
+    }
+    let found = ways.iter().map(|means| scenes.iter().filter(|scene| means(scene)).collect::<Vec<_>>());
+    found.into_iter().find(|found| !found.is_empty()).unwrap_or_default()
+}
+
+fn listed(scenes: &[&Scene]) -> String {
+    let line = |scene: &&Scene| {
+        let state = match scene.status {
+            SceneStatus::Ready => "",
+            SceneStatus::Parsing => ", being parsed",
+            SceneStatus::Failed => ", could not be parsed",
+            SceneStatus::Uploaded => ", not parsed",
+        };
+        format!("  {}  {}, {} old{state}", scene.id, scene.name, table::age(&scene.created_at))
+    };
+    let mut lines: Vec<String> = scenes.iter().take(LISTED).map(line).collect();
+    if scenes.len() > LISTED {
+        lines.push(format!("  and {} more", scenes.len() - LISTED));
+    }
+    lines.join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+
+    fn scene(id: &str, name: &str) -> Scene {
+        serde_json::from_value(json!({
+            "id": id, "name": name, "status": "ready", "content_hash": "", "parse_version": 1,
+            "created_at": "2026-11-23T08:00:00Z", "updated_at": "2026-11-23T08:00:00Z",
+        }))
+        .unwrap()
+    }
+
+    #[test]
+    fn a_whole_name_comes_before_the_beginning_of_another() {
+        let scenes =
+            [scene("01a2-aa", "Kitchen"), scene("01a2-ab", "kitchen"), scene("01a2-b0", "kitchen upstairs"), scene("01b0-00", "hall")];
+        let ids = |wanted: &str| matching(&scenes, wanted).iter().map(|scene| scene.id.clone()).collect::<Vec<_>>();
+        assert_eq!(ids("kitchen"), ["01a2-ab"]);
+        assert_eq!(ids("KITCHEN"), ["01a2-aa", "01a2-ab"]);
+        assert_eq!(ids("kitchen u"), ["01a2-b0"]);
+        assert_eq!(ids("Ha"), ["01b0-00"]);
+        assert_eq!(ids("01b"), ["01b0-00"]);
+        assert_eq!(ids("01a2-a").len(), 2);
+        assert!(ids("cellar").is_empty() && ids("").is_empty());
+    }
+
+    #[test]
+    fn a_shared_name_is_not_enough() {
+        let scenes = [scene("01a2-aa", "hall"), scene("01a2-ab", "hall"), scene("01a2-ac", "living room")];
+        assert_eq!(shortest(&scenes, &scenes[0]), "01a2-aa");
+        assert_eq!(shortest(&scenes, &scenes[2]), "'living room'");
+    }
+}

@@ -1,0 +1,22 @@
+//! `uniground completions`: what a shell needs to complete this program's words.
+
+use super::Cli;
+use clap::CommandFactory;
+use clap_complete::{Shell, generate};
+use std::io::{self, Write};
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "\
+bash: uniground completions bash > ~/.local/share/bash-completion/completions/uniground
+zsh:  uniground completions zsh > a folder of $fpath, as _uniground
+fish: uniground completions fish > ~/.config/fish/completions/uniground.fish")]
+pub struct CompletionsArgs {
+    shell: Shell,
+}
+
+pub fn run(CompletionsArgs { shell }: &CompletionsArgs) -> anyhow::Result<()> {
+    // What generates them panics where nobody reads on.
+    let mut script = Vec::new();
+    generate(*shell, &mut Cli::command(), "uniground", &mut script);
+    Ok(io::stdout().write_all(&script)?)
+}

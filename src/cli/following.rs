@@ -1,0 +1,127 @@
+//! A scan on its way into a service, for somebody who watches: bytes sent, then stages of the parse.
+
+use super::hints;
+use super::scan_file::ScanFile;
+use bytes::Bytes;
+use futures::Stream;
+use http_body::{Body, Frame, SizeHint};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::fs::File;
+use std::io::{self, IsTerminal};
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use std::time::Duration;
+use tokio_util::io::ReaderStream;
+use uniground_client::{Client, ClientError};
+use uniground_types::job::{Job, JobState};
+use uniground_types::scenes::Created;
+
+const SENDING: &str = "{bar:40} {percent:>3}%  {msg:<20} {bytes} of {total_bytes}, {eta} left";
+const PARSING: &str = "{bar:40} {percent:>3}%  {msg}";
+
+/// Uploads a scan; `query` as the API describes it.
+///
+/// # Errors
+/// A file that can not be read, [`ClientError`].
+pub async fn send(client: &Client, scan: &ScanFile, query: &[(&str, &str)]) -> anyhow::Result<Created> {
+    let (file, bytes) = scan.bytes()?;
+    let bar = bar(bytes, SENDING).with_message("uploading");
+    let sent = client.upload(reqwest::Body::wrap(Sent::of(file, bytes, bar.clone())), query).await;
+    bar.finish_and_clear();
+    Ok(sent?)
+}
+
+/// Shows a job to its end: a live bar on a terminal, a line a stage elsewhere.
+///
+/// # Errors
+/// [`ClientError`].
+pub async fn follow(client: &Client, job_id: &str) -> Result<Job, ClientError> {
+    let (bar, mut stage) = (bar(1000, PARSING), None);
+    bar.enable_steady_tick(Duration::from_millis(200));
+    let job = client
+        .follow_job(job_id, |job| {
+            advance(&bar, job);
+            if !io::stderr().is_terminal() && stage != job.stage && job.stage.is_some() && !job.state.is_final() {
+                stage.clone_from(&job.stage);
+                eprintln!("{:>5.1} %  {}", job.progress * 100.0, stage_of(job));
+            }
+        })
+        .await;
+    bar.finish_and_clear();
+    job
+}
+
+/// What came of a parse, in a sentence.
+///
+/// # Errors
+/// Why nothing came of it.
+pub fn outcome(job: &Job) -> anyhow::Result<String> {
+    match (job.state, &job.error) {
+        (JobState::Succeeded, _) => Ok(job.message.clone().unwrap_or_default()),
+        (_, Some(error)) => Err(hints::ParseFailed(error.clone()).into()),
+        (state, None) => anyhow::bail!("the parse was {}", state.word()),
+    }
+}
+
+fn bar(length: u64, template: &str) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(length), ProgressDrawTarget::stderr());
+    // A template is a constant: it parses, or the test below fails.
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style);
+    }
+    bar
+}
+
+fn advance(bar: &ProgressBar, job: &Job) {
+    let eta = job.eta_s.map_or_else(|| "estimating".to_owned(), |s| format!("{s:.1} s left"));
+    bar.set_position((job.progress * 1000.0) as u64);
+    bar.set_message(format!("{:<20} {eta}", stage_of(job)));
+}
+
+fn stage_of(job: &Job) -> &str {
+    match job.state {
+        JobState::Queued => "queued",
+        _ => job.stage.as_deref().unwrap_or_default(),
+    }
+}
+
+/// A file as the body of a request. Its length is told, so that a server without room says so before the first byte.
+struct Sent {
+    stream: ReaderStream<tokio::fs::File>,
+    left: u64,
+    bar: ProgressBar,
+}
+
+impl Sent {
+    fn of(file: File, bytes: u64, bar: ProgressBar) -> Self {
+        Self { stream: ReaderStream::with_capacity(tokio::fs::File::from_std(file), 256 << 10), left: bytes, bar }
+    }
+}
+
+impl Body for Sent {
+    type Data = Bytes;
+    type Error = io::Error;
+
+    fn poll_frame(mut self: Pin<&mut Self>, context: &mut Context<'_>) -> Poll<Option<io::Result<Frame<Bytes>>>> {
+        let chunk = Pin::new(&mut self.stream).poll_next(context);
+        if let Poll::Ready(Some(Ok(chunk))) = &chunk {
+            self.left = self.left.saturating_sub(chunk.len() as u64);
+            self.bar.inc(chunk.len() as u64);
+        }
+        chunk.map(|chunk| chunk.map(|chunk| chunk.map(Frame::data)))
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        SizeHint::with_exact(self.left)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_templates_of_the_bars_are_some() {
+        assert!([SENDING, PARSING].iter().all(|template| ProgressStyle::with_template(template).is_ok()));
+    }
+}

@@ -1,0 +1,38 @@
+//! How results are printed: as JSON, and words that nobody should overlook.
+
+use clap::builder::styling::{AnsiColor, Style};
+use serde::Serialize;
+use std::io::{self, IsTerminal, Write};
+
+/// A value as JSON on standard output.
+///
+/// # Errors
+/// Standard output can not be written.
+pub fn print_json(value: &impl Serialize) -> anyhow::Result<()> {
+    Ok(writeln!(io::stdout(), "{}", serde_json::to_string_pretty(value)?)?)
+}
+
+/// Red on a terminal that shows colours; elsewhere the words alone.
+pub fn alarming(words: &str) -> String {
+    let is_set = |name| std::env::var_os(name).is_some_and(|value| !value.is_empty());
+    let is_dumb = std::env::var_os("TERM").is_some_and(|term| term == "dumb");
+    match io::stdout().is_terminal() && !is_set("NO_COLOR") && !is_dumb {
+        true => red(words),
+        false => words.to_owned(),
+    }
+}
+
+fn red(words: &str) -> String {
+    let style = Style::new().bold().fg_color(Some(AnsiColor::Red.into()));
+    format!("{style}{words}{style:#}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn red_words_end_where_they_end() {
+        assert_eq!(red("no model"), "\u{1b}[1m\u{1b}[31mno model\u{1b}[0m");
+    }
+}
