@@ -12,7 +12,7 @@ pub(super) fn distances(width: usize, height: usize, sites: impl Fn(usize) -> bo
     for cell in (0..(width * height).saturating_sub(width)).rev() {
         along_y[cell] = along_y[cell].min(along_y[cell + width] + 1.0);
     }
-    along_y.par_chunks_mut(width).for_each(|row| across(row));
+    along_y.par_chunks_mut(width).for_each(across);
     along_y
 }
 

@@ -34,7 +34,8 @@ pub struct Floor {
     pub(super) grid: Grid,
     pub(super) cells: Vec<Cell>,
     height_m: f32,
-    floor_z_m: f32,
+    /// Height of it, metres, world frame.
+    z_m: f32,
 }
 
 impl Floor {
@@ -52,7 +53,7 @@ impl Floor {
         let mut cells: Vec<Cell> = occupancy.columns.iter().map(|&column| seen(column)).collect();
         let holes: Vec<usize> = (0..cells.len()).filter(|&cell| is_hole(&grid, &cells, cell)).collect();
         holes.into_iter().for_each(|cell| cells[cell] = Cell::Floor);
-        Self { grid, cells, height_m, floor_z_m: occupancy.floor_z_m }
+        Self { grid, cells, height_m, z_m: occupancy.floor_z_m }
     }
 
     /// The map, and its picture: its first row is the greatest y.
@@ -78,7 +79,7 @@ impl Floor {
             width,
             height,
             height_m: self.height_m,
-            floor_z_m: self.floor_z_m,
+            floor_z_m: self.z_m,
         };
         (map, picture)
     }

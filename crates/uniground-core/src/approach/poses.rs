@@ -102,12 +102,11 @@ impl Room<'_> {
             None => None,
         };
         let start = start.flatten().map(|(_, start)| start);
-        let (mut left, beyond): (Vec<Candidate>, Vec<Candidate>) = match &ways {
-            Some(ways) => left.into_iter().partition(|candidate| ways.reaches(candidate.cell)),
-            None => {
-                let area = self.free.largest_area(&left.iter().map(|candidate| candidate.cell).collect::<Vec<_>>());
-                left.into_iter().partition(|candidate| area[candidate.cell])
-            }
+        let (mut left, beyond): (Vec<Candidate>, Vec<Candidate>) = if let Some(ways) = &ways {
+            left.into_iter().partition(|candidate| ways.reaches(candidate.cell))
+        } else {
+            let area = self.free.largest_area(&left.iter().map(|candidate| candidate.cell).collect::<Vec<_>>());
+            left.into_iter().partition(|candidate| area[candidate.cell])
         };
         cells.connected = left.len() as u32;
         self.measure_reach(&mut left);

@@ -28,7 +28,7 @@ fn a_table_is_an_obstacle_for_who_does_not_fit_under_it() {
     assert_eq!(rim, Cell::Unknown, "nothing was seen behind the walls");
 }
 
-/// The picture's first row is the greatest y, its first column the least x; shades are map_server's.
+/// The picture's first row is the greatest y, its first column the least x; shades are those of `map_server`.
 #[test]
 fn the_map_is_the_room_seen_from_above() {
     let mut room = Room::empty(4.0, 3.0);

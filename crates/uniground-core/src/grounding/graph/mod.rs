@@ -140,7 +140,7 @@ impl Relating<'_> {
             match instance.level {
                 Level::Part => edges.extend(instance.things.iter().map(|&thing| self.edge(instance.id, thing, GraphRelation::PartOf, 1.0))),
                 Level::Whole => {
-                    edges.extend(instance.things.iter().map(|&thing| self.edge(thing, instance.id, GraphRelation::PartOf, 1.0)))
+                    edges.extend(instance.things.iter().map(|&thing| self.edge(thing, instance.id, GraphRelation::PartOf, 1.0)));
                 }
                 Level::Thing if instance.structure.is_none() => {
                     let (carrier, relation) = match instance.support {

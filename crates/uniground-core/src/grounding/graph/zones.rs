@@ -19,10 +19,19 @@ const SAYS: f32 = 0.8;
 /// A zone that was found.
 pub(super) struct Zone {
     name: &'static str,
-    /// Around what makes it.
+    /// The things that make it.
+    makers: Vec<InstanceId>,
+    /// Around these.
     aabb: Aabb,
-    /// What is in it, with how surely and how far from what makes it.
-    members: Vec<(InstanceId, f32, f32)>,
+    members: Vec<Member>,
+}
+
+/// A thing in a zone.
+struct Member {
+    id: InstanceId,
+    score: f32,
+    /// From what makes the zone, metres.
+    distance_m: f32,
 }
 
 impl Zone {
@@ -31,7 +40,7 @@ impl Zone {
     }
 
     pub fn edges(&self, id: &str) -> Vec<GraphEdge> {
-        let edge = |&(member, score, distance_m): &(InstanceId, f32, f32)| GraphEdge {
+        let edge = |&Member { id: member, score, distance_m }: &Member| GraphEdge {
             from: node_id(member),
             to: id.to_owned(),
             relation: GraphRelation::InZone,
@@ -40,49 +49,46 @@ impl Zone {
         };
         self.members.iter().map(edge).collect()
     }
+
+    /// How surely a thing is in it, and how far it is from what makes it.
+    fn holding(&self, id: InstanceId, solids: &BTreeMap<InstanceId, Solid>) -> Member {
+        let own = &solids[&id];
+        let makers = || self.makers.iter().map(|maker| &solids[maker]);
+        let distance_m = makers().map(|maker| own.horizontal_gap(maker)).fold(f32::INFINITY, f32::min);
+        let near = || makers().map(|maker| relations::reaching(own, maker, REACH_M)).fold(0.0, f32::max);
+        Member { id, score: if self.makers.contains(&id) { 1.0 } else { near() }, distance_m }
+    }
 }
 
-/// The zones of a scene: where two kinds of things that make one stand together. Every thing is in one at most, the nearest.
+/// The zones of a scene: where two kinds of things that make one stand together. Every thing is in one at most: the one it makes, else the
+/// nearest.
 pub(super) fn of(scene: SceneView, things: &[&Instance], solids: &BTreeMap<InstanceId, Solid>, guessed: Guessed) -> Vec<Zone> {
-    let mut found: Vec<(&'static str, Vec<InstanceId>)> = Vec::new();
+    let mut zones: Vec<Zone> = Vec::new();
     for (name, nouns) in zones::all() {
-        let makers: Vec<(InstanceId, usize)> = things
-            .iter()
-            .filter_map(|thing| Some((thing.id, nouns.iter().position(|noun| is_called(scene, thing, noun, guessed))?)))
-            .collect();
-        for cluster in clusters(&makers, solids) {
+        let maker = |thing: &&Instance| Some((thing.id, nouns.iter().position(|noun| is_called(scene, thing, noun, guessed))?));
+        for cluster in clusters(&things.iter().filter_map(maker).collect::<Vec<_>>(), solids) {
             let kinds: BTreeSet<usize> = cluster.iter().map(|(_, noun)| *noun).collect();
+            let makers: Vec<InstanceId> = cluster.into_iter().map(|(id, _)| id).collect();
+            let corners: Vec<_> = things
+                .iter()
+                .filter(|thing| makers.contains(&thing.id))
+                .flat_map(|thing| thing.aabb.corners())
+                .collect();
             // One desk is no study, nor a door a hallway; a dining table alone tells.
-            if kinds.len() > 1 || nouns.len() == 1 {
-                found.push((name, cluster.into_iter().map(|(id, _)| id).collect()));
-            }
+            let Some(aabb) = Aabb::around(&corners).filter(|_| kinds.len() > 1 || nouns.len() == 1) else { continue };
+            zones.push(Zone { name, makers, aabb, members: Vec::new() });
         }
     }
-    let mut members: Vec<Vec<(InstanceId, f32, f32)>> = vec![Vec::new(); found.len()];
     for thing in things {
-        let own = &solids[&thing.id];
-        let away = |makers: &[InstanceId]| makers.iter().map(|maker| own.horizontal_gap(&solids[maker])).fold(f32::INFINITY, f32::min);
-        let of_zone = |(at, (_, makers)): (usize, &(&str, Vec<InstanceId>))| (!makers.contains(&thing.id), away(makers), at);
-        let nearest = found
-            .iter()
-            .enumerate()
-            .map(of_zone)
-            .min_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
-        if let Some((makes_none, distance_m, at)) = nearest.filter(|(_, distance_m, _)| *distance_m <= REACH_M) {
-            let score = if makes_none {
-                let makers = found[at].1.iter();
-                makers.map(|maker| relations::reaching(own, &solids[maker], REACH_M)).fold(0.0, f32::max)
-            } else {
-                1.0
-            };
-            members[at].push((thing.id, score, distance_m));
+        let held = zones.iter().map(|zone| zone.holding(thing.id, solids)).enumerate();
+        let nearest = held
+            .filter(|(_, member)| member.distance_m <= REACH_M)
+            .min_by(|(_, a), (_, b)| b.score.total_cmp(&a.score).then(a.distance_m.total_cmp(&b.distance_m)));
+        if let Some((at, member)) = nearest {
+            zones[at].members.push(member);
         }
     }
-    let zone = |((name, makers), members): ((&'static str, Vec<InstanceId>), Vec<(InstanceId, f32, f32)>)| {
-        let corners: Vec<_> = scene.instances.iter().filter(|i| makers.contains(&i.id)).flat_map(|i| i.aabb.corners()).collect();
-        Some(Zone { name, aabb: Aabb::around(&corners)?, members })
-    };
-    found.into_iter().zip(members).filter_map(zone).collect()
+    zones
 }
 
 /// Whether a thing is called by a noun: by the name it was given, else by its best one where it was seen.
