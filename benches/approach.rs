@@ -26,10 +26,11 @@ fn hall() -> Vec<Instance> {
     let apart = ROOM_M / side as f32;
     let object = |i: usize| {
         let (column, row) = ((i / 2) % side, (i / 2) / side);
-        let (size, base) = if i % 2 == 0 { ([1.2, 0.8, 0.75], 0.0) } else { ([0.2, 0.2, 0.3], 0.75) };
+        let is_table = i.is_multiple_of(2);
+        let (size, base) = if is_table { ([1.2, 0.8, 0.75], 0.0) } else { ([0.2, 0.2, 0.3], 0.75) };
         let size = Vector3::from(size);
         let center = Point3::new((column as f32 + 0.5) * apart, (row as f32 + 0.5) * apart, base + size.z / 2.0);
-        let name = if i % 2 == 0 { "table" } else { "lamp" }.to_owned();
+        let name = if is_table { "table" } else { "lamp" }.to_owned();
         let aabb = Aabb { center, size };
         SceneObject { id: i as u32 + 1, name, aabb, rotated: None, cloud_points: 0, mean_rgb: None, colours: Vec::new(), seen_as: None }
     };
@@ -50,7 +51,7 @@ fn cloud(instances: &[Instance]) -> (Vec<Point3<f32>>, Vec<InstanceId>) {
     let mut positions = Vec::with_capacity(POINTS);
     let mut of_point = Vec::with_capacity(POINTS);
     for point in 0..POINTS {
-        if point % 3 == 0 {
+        if point.is_multiple_of(3) {
             positions.push(Point3::new(chance() * ROOM_M, chance() * ROOM_M, 0.004 * chance()));
             of_point.push(InstanceId(0));
             continue;

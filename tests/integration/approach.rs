@@ -13,7 +13,7 @@ use uniground_types::scenes::SceneChange;
 const ROBOT: Robot = Robot { radius_m: 0.2, height_m: 1.3, eye_height_m: 1.2, reach_m: None };
 
 fn asking(query: &str) -> ApproachRequest {
-    ApproachRequest { from: Some(FloorPoint { x: 1.95, ..FloorPoint::default() }), ..ApproachRequest::asking(query, ROBOT) }
+    ApproachRequest { from: Some(FloorPoint { x: 1.43, y: 0.16, ..FloorPoint::default() }), ..ApproachRequest::asking(query, ROBOT) }
 }
 
 #[tokio::test]
@@ -94,7 +94,7 @@ async fn a_robot_asks_and_is_told_in_its_own_map() {
     let scene = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
     let client = &server.client;
     let in_scene = asking("the mug on the coffee table");
-    let in_map = ApproachRequest { frame: FrameChoice::Map, from: Some(FloorPoint { x: 10.0, y: 21.95, z: 0.5 }), ..in_scene.clone() };
+    let in_map = ApproachRequest { frame: FrameChoice::Map, from: Some(FloorPoint { x: 9.84, y: 21.43, z: 0.5 }), ..in_scene.clone() };
     let refused = problem(client.approach(&scene.id, &in_map).await);
     assert_eq!((refused.status, refused.code.as_str()), (409, "no_map"));
     let half = std::f64::consts::FRAC_1_SQRT_2;
@@ -113,7 +113,7 @@ async fn a_robot_asks_and_is_told_in_its_own_map() {
             near(placed.position[0], 10.0 - y) && near(placed.position[1], 20.0 + x) && near(placed.position[2], 0.5 + z),
             "{placed:?}"
         );
-        let (half_yaw, [_, _, sin, cos]) = ((pose.yaw_rad + std::f32::consts::FRAC_PI_2) / 2.0, placed.orientation);
+        let (half_yaw, [_, _, sin, cos]) = (f32::midpoint(pose.yaw_rad, std::f32::consts::FRAC_PI_2), placed.orientation);
         assert!((sin * f64::from(half_yaw.cos()) - cos * f64::from(half_yaw.sin())).abs() < 1e-6, "{placed:?}");
         assert!(placed.path.len() == pose.path.len() && placed.path.last().unwrap() == &placed.position, "{placed:?}");
     }

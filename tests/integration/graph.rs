@@ -15,7 +15,10 @@ async fn a_scene_is_a_graph_in_three_formats() {
     assert_eq!((graph.scene_id.as_str(), graph.parse_version), (scene.id.as_str(), 1));
     let ids: BTreeSet<&str> = graph.nodes.iter().map(|node| &*node.id).collect();
     assert!(graph.edges.iter().all(|edge| ids.contains(&*edge.from) && ids.contains(&*edge.to)));
-    assert_eq!(graph.nodes.iter().filter(|node| node.instance_id.is_some()).count() as u32, scene.counts.unwrap().instances);
+    let instances = client.all_instances(&scene.id, Levels::All).await.unwrap();
+    assert_eq!(graph.nodes.iter().filter(|node| node.instance_id.is_some()).count(), instances.len());
+    let things = client.graph(&scene.id, Levels::Things).await.unwrap().nodes;
+    assert_eq!(things.iter().filter(|node| node.instance_id.is_some()).count() as u32, scene.counts.unwrap().instances);
     // What answers say of support the graph says too.
     let answer = client.ground(&scene.id, &crate::server::ask("the mug on the coffee table")).await.unwrap();
     let mug = format!("i{}", answer.answer.predicted_id.unwrap());

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import asyncio
+import io
 import json
+import time
 import zipfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Optional
 
 import numpy as np
 import pytest
+from PIL import Image
 from served import KEY, SAMPLE, running
 
 from uniground import AsyncClient, Client, Scene, UnigroundError, boxes, models, table
 
+MUG, MUG_ID = "the mug on the coffee table", 86
+ROBOT: models.Robot = {"radius_m": 0.2, "height_m": 1.3, "eye_height_m": 1.2, "reach_m": 0.8}
 # With a line separator of Unicode's, which is none of JSON's lines.
 QUESTIONS = ["the mug on the coffee table", "how many mugs are there", "the\u2028sofa", "the spaceship"]
 
@@ -86,7 +92,123 @@ def test_every_field_of_a_question_is_taken(scene: Scene) -> None:
     assert len(answer.candidates) == 2
     assert answer.in_frame is not None
     assert (answer.in_frame.frame, len(answer.in_frame.boxes)) == ("source", len(answer.targets))
+    assert answer.in_frame.stamp is not None
+    assert answer.in_frame.stamp.sec == pytest.approx(time.time(), abs=60)
     assert scene.ask("the sofa", include=[]).candidates is None
+
+
+def test_every_field_of_an_approach_is_taken(scene: Scene) -> None:
+    every: models.ApproachOptions = {
+        "from": {"x": -0.2, "y": -1.0, "z": 0.0},
+        "frame": "source",
+        "instance_id": None,
+        "max_distance_m": 2.0,
+        "max_poses": 2,
+        "min_distance_m": 0.5,
+        "query": MUG,
+    }
+    assert set(every) == set(models.ApproachOptions.__annotations__), "the API has other fields by now: ask with them"
+    assert set(ROBOT) == set(models.Robot.__annotations__), "the API has other fields by now: ask with them"
+    found = scene.approach(ROBOT, **every)
+    assert (found.status, found.answer_status, len(found.poses)) == ("found", "grounded", 2)
+    assert found.in_frame is not None
+    assert len(found.in_frame.poses) == 2
+
+
+def test_a_robot_is_told_where_to_stand(client: Client, scene: Scene) -> None:
+    found = scene.approach(ROBOT, query=MUG, start=np.array([-0.2, -1.0]))
+    assert found.answer_id is not None
+    assert client.answer(found.answer_id).answer.predicted_id == MUG_ID
+    assert found.target is not None
+    assert (found.target.id, found.target.support.on, found.target.support.id) == (MUG_ID, "instance", 25)
+    best, picture = found.poses[0], floor(scene, ROBOT["height_m"])
+    assert best.reach_m <= 0.8
+    assert best.path_m is not None
+    assert best.path_m > 0.3
+    assert best.path[-1] == pytest.approx(best.position[:2])
+    # White under every corner of the way, black where the table is.
+    assert [picture(x, y) for x, y in best.path] == [254] * len(best.path)
+    assert picture(*found.target.box.center[:2]) == 0
+
+    assert scene.approach(ROBOT, instance_id=MUG_ID).poses[0].path == []
+    short = scene.approach({**ROBOT, "reach_m": 0.01}, instance_id=MUG_ID)
+    assert (short.status, short.failed, short.poses) == ("none_possible", "out_of_reach", [])
+    assert scene.approach(ROBOT, query="the spaceship").status == "not_grounded"
+    with pytest.raises(UnigroundError, match="one of instance_id and query is wanted"):
+        scene.approach(ROBOT)
+
+
+def floor(scene: Scene, height_m: float) -> Callable[[float, float], int]:
+    """The shade of the floor's picture at a place of the scene."""
+    known = scene.floor(height_m)
+    picture = Image.open(io.BytesIO(scene.floor_picture(height_m)))
+    assert (picture.size, picture.mode) == ((known.width, known.height), "L")
+    shades = np.asarray(picture)
+    left, lower, _ = known.origin
+    return lambda x, y: int(shades[known.height - 1 - int((y - lower) / known.resolution), int((x - left) / known.resolution)])
+
+
+def test_a_scene_is_placed_in_a_map(scene: Scene) -> None:
+    """A quarter turn to the left: the scene's X is the map's Y."""
+    with pytest.raises(UnigroundError) as nowhere:
+        scene.ask(MUG, frame="map")
+    assert nowhere.value.code == "no_map"
+    half = np.sqrt(0.5)
+    try:
+        scene.place_in_map((0, 0, half, half), np.array([10, 5, 0.5]), "map")
+        assert (scene.info.map_frame_id, scene.name) == ("map", "living room")
+        answer = scene.ask(MUG, frame="map")
+        assert answer.in_frame is not None
+        assert answer.in_frame.frame_id == "map"
+        x, y, z = answer.targets[0].oriented_box.center
+        assert answer.in_frame.boxes[0].center == pytest.approx([10 - y, 5 + x, z + 0.5])
+        here = scene.approach(ROBOT, instance_id=MUG_ID, start=(-0.2, -1.0))
+        there = scene.approach(ROBOT, instance_id=MUG_ID, start=(11.0, 4.8), frame="map")
+        assert there.poses == here.poses
+        assert there.in_frame is not None
+        assert there.in_frame.poses[0].path[0] == pytest.approx(
+            [10 - here.poses[0].path[0][1], 5 + here.poses[0].path[0][0], 0.5], abs=1e-3
+        )
+        # Placed anew, the map is still called what it was.
+        assert scene.place_in_map([0, 0, 0, 1], [0, 0, 0]).info.map_frame_id == "map"
+    finally:
+        scene._client.call("PATCH", f"/v1/scenes/{scene.id}", body={"scene_to_map": None, "map_frame_id": None})
+        scene.refresh()
+    assert scene.info.scene_to_map is None
+
+
+def test_a_scene_is_a_graph(scene: Scene) -> None:
+    graph = scene.graph()
+    assert {node.kind for node in graph.nodes} >= {"thing", "structure"}
+    assert ("i86", "on", "i25") in {(edge.from_, edge.relation, edge.to) for edge in graph.edges}
+    around = scene.graph(around=MUG_ID)
+    assert {"i86", "i25"} <= {node.id for node in around.nodes}
+    assert len(around.nodes) < len(graph.nodes) <= len(scene.graph("all").nodes)
+    text = scene.graph_text(around=MUG_ID)
+    assert "on [i25] grey coffee table" in text
+    assert len(text) < len(scene.graph_text())
+
+
+def test_a_scene_is_a_file_for_other_programs(scene: Scene, tmp_path: Path) -> None:
+    begins = {"glb": b"glTF", "usdz": b"PK", "ply": b"ply\n", "json": b"{"}
+    for kind, magic in begins.items():
+        file = tmp_path / f"room.{kind}"
+        content = scene.export(kind, file, points=1000)
+        assert content.startswith(magic)
+        assert file.read_bytes() == content
+    assert b"element vertex 1000\n" in scene.export("ply", points=1000)
+    with pytest.raises(UnigroundError) as unknown:
+        scene.export("fbx")
+    assert unknown.value.code == "invalid_request"
+
+
+def test_a_question_with_a_key_is_answered_once(client: Client, scene: Scene) -> None:
+    first = scene.ask(MUG, idempotency_key="once")
+    assert scene.ask(MUG, idempotency_key="once") == first
+    assert scene.ask(MUG).id != scene.ask(MUG).id
+    with pytest.raises(UnigroundError) as other:
+        scene.ask("the sofa", idempotency_key="once")
+    assert (other.value.status, other.value.code) == (422, "idempotency_key_reused")
 
 
 def test_several_things_and_none(scene: Scene) -> None:
@@ -256,7 +378,7 @@ def test_settings_come_from_arguments_or_variables(server: str, monkeypatch: pyt
         Client("127.0.0.1")
 
 
-def test_the_asynchronous_client_does_the_same(scene: Scene) -> None:
+def test_the_asynchronous_client_does_the_same(scene: Scene, tmp_path: Path) -> None:
     async def ask() -> None:
         async with AsyncClient() as client:
             same = await client.upload(SAMPLE, name="living room", idempotency_key="sample")
@@ -264,6 +386,10 @@ def test_the_asynchronous_client_does_the_same(scene: Scene) -> None:
             assert same.id == scene.id
             answers = await asyncio.gather(*(same.ask(question) for question in QUESTIONS))
             assert [answer.query for answer in answers] == QUESTIONS
+            found = await same.approach(ROBOT, instance_id=MUG_ID, start=(-0.2, -1.0))
+            assert found == scene.approach(ROBOT, instance_id=MUG_ID, start=(-0.2, -1.0))
+            assert await same.export("ply", tmp_path / "room.ply", points=1000) == (tmp_path / "room.ply").read_bytes()
+            assert await same.graph_text() == scene.graph_text()
             batch = await client.batch(QUESTIONS, scene=same, label="async")
             assert [result.item async for result in batch.results()] == [0, 1, 2, 3]
             assert [other.id async for other in client.scenes() if other.id == scene.id] == [scene.id]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import dataclasses
 import json
 import threading
 import time
@@ -14,7 +15,7 @@ from typing import Any
 import pytest
 from served import SAMPLE
 
-from uniground import AsyncClient, Client, UnigroundError
+from uniground import AsyncClient, Client, Scene, UnigroundError
 
 # What a scripted server does with a request.
 Reply = Callable[[BaseHTTPRequestHandler], None]
@@ -121,12 +122,23 @@ def test_what_is_refused_too_often_or_too_long_is_told(scripted: Callable[..., S
     assert (later.value.retry_after, len(server.requests)) == (3600, 1)
 
 
-def test_a_question_that_may_have_been_asked_is_not_asked_again(scripted: Callable[..., Scripted]) -> None:
+def test_what_may_have_been_done_is_not_done_again(scripted: Callable[..., Scripted]) -> None:
     server = scripted(breaks_off, says(200, {}))
     with pytest.raises(UnigroundError) as broken:
         Client(server.url).call("POST", "/v1/scenes/s/ground", body={"query": "the mug"})
     assert (broken.value.code, broken.value.status, broken.value.is_passing) == ("unreachable", None, True)
     assert len(server.requests) == 1
+
+
+def test_a_question_is_repeated_under_one_key(scripted: Callable[..., Scripted], scene: Scene) -> None:
+    answer = dataclasses.asdict(scene.ask("the mug on the coffee table"))
+    server = scripted(says(200, SCENE), breaks_off, says(503, BUSY, {"retry-after": "0"}), says(200, answer), says(200, answer))
+    asked = Client(server.url).scene("s")
+    for _ in range(2):
+        assert dataclasses.asdict(asked.ask("the mug", top_k=2)) == answer
+    sent = [(request, body, headers["idempotency-key"]) for request, headers, body in server.requests[1:]]
+    assert sent[0] == sent[1] == sent[2] == ("POST /v1/scenes/s/ground", b'{"query": "the mug", "top_k": 2}', sent[0][2])
+    assert sent[3][2] != sent[0][2], "the next question is another one"
 
 
 def test_looking_is_repeated(scripted: Callable[..., Scripted]) -> None:

@@ -163,7 +163,7 @@ class Node:
 def install(service: str) -> None:
     """Puts all of it where `import` finds it."""
     messages = Messages(service)
-    for package in ("builtin_interfaces", "geometry_msgs", "std_msgs", "vision_msgs", "visualization_msgs"):
+    for package in ("builtin_interfaces", "geometry_msgs", "nav_msgs", "std_msgs", "vision_msgs", "visualization_msgs"):
         inside = ModuleType(f"{package}.msg")
         for name in [name for name in messages.store.fielddefs if name.startswith(f"{package}/msg/")]:
             setattr(inside, name.rsplit("/", 1)[1], messages.named(name))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ from uniground_ros.node import Grounding  # noqa: E402
 
 HERE = Placed(np.eye(3), np.zeros(3))
 MUG = "the mug on the coffee table"
+ROBOT = {"robot_radius_m": 0.2, "robot_height_m": 1.3, "eye_height_m": 1.2, "reach_m": 0.8}
+QUARTER = math.pi / 2
 
 
 def transform(x: float, y: float, yaw: float) -> Any:
@@ -48,14 +51,28 @@ def at(point: Any) -> list[float]:
 def node(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> Grounding:
     monkeypatch.setattr(stubs.Node, "OVERRIDES", {"scene_id": scene.id})
     # The scan's origin lies at (10, 5) of the map, turned by a quarter; the robot stands in the middle of the room.
-    quarter = math.pi / 2
     known = {
-        ("map", "scan"): transform(10, 5, quarter),
+        ("map", "scan"): transform(10, 5, QUARTER),
         ("scan", "base_link"): transform(0, 0, 0),
-        ("map", "base_link"): transform(10, 5, quarter),
+        ("map", "base_link"): transform(10, 5, QUARTER),
     }
     monkeypatch.setattr(stubs, "TRANSFORMS", known)
     return Grounding()
+
+
+@pytest.fixture
+def placed(scene: Scene) -> Iterator[Scene]:
+    """The service knows how the scene lies in a map, the same way as tf2 would."""
+    yield scene.place_in_map((0, 0, math.sin(QUARTER / 2), math.cos(QUARTER / 2)), (10, 5, 0), "site")
+    scene._client.call("PATCH", f"/v1/scenes/{scene.id}", body={"scene_to_map": None, "map_frame_id": None})
+    scene.refresh()
+
+
+def given(node: Grounding, **parameters: float) -> Grounding:
+    """The node with these parameters."""
+    for name, value in parameters.items():
+        node.parameters[name].value = value
+    return node
 
 
 def ask(node: Grounding, query: str, seen: bool = False) -> Any:
@@ -107,10 +124,83 @@ def test_the_goal_is_in_front_of_the_table_and_faces_the_mug(node: Grounding, sc
     nearer = np.array(in_scan[:2]) + 0.61 * np.array([math.cos(bearing - math.pi / 2), math.sin(bearing - math.pi / 2)])
     assert table.contains([[*nearer, table.center[2]]])[0]
 
+    assert "robot_radius_m is not set" in said.goal_reason
+    assert "~/path" not in node.published
+
+
+def test_a_robot_that_is_known_is_sent_where_it_can_stand(node: Grounding, scene: Scene) -> None:
+    said = ask(given(node, **ROBOT), MUG)
+    best = scene.approach(node.robot(), instance_id=86, start=(0, 0)).poses[0]
+    assert (said.has_goal, said.goal_reason) == (True, best.why)
+    x, y, z = best.position
+    assert at(said.goal.pose.position) == pytest.approx([10 - y, 5 + x, z])
+    assert yaw_of(said.goal.pose.orientation) == pytest.approx(math.remainder(best.yaw_rad + QUARTER, math.tau))
+    assert node.published["~/goal"] == [said.goal]
+    [path] = node.published["~/path"]
+    assert (path.header, len(path.poses)) == (said.goal.header, len(best.path))
+    corners = [at(one.pose.position) for one in path.poses]
+    assert corners == [pytest.approx([10 - y, 5 + x, z]) for x, y in best.path]
+    # Each corner faces the next, and the last what is looked for.
+    (x, y, _), (to_x, to_y, _) = corners[:2]
+    assert yaw_of(path.poses[0].pose.orientation) == pytest.approx(math.atan2(to_y - y, to_x - x))
+    assert path.poses[-1].pose.orientation.z == said.goal.pose.orientation.z
+    # One that only has to see it needs no arm.
+    assert ask(given(node, reach_m=0.0), MUG).has_goal
+
+
+def test_where_there_is_no_place_there_is_no_goal_and_a_reason(node: Grounding, monkeypatch: pytest.MonkeyPatch) -> None:
+    short = ask(given(node, **{**ROBOT, "reach_m": 0.05}), MUG)
+    assert (short.status, short.has_goal) == ("grounded", False)
+    assert "the mug is out of reach" in short.goal_reason
+    assert node.log[-1] == f"no goal: {short.goal_reason}"
+    half_known = ask(given(node, robot_height_m=0.0), MUG)
+    assert (half_known.status, half_known.has_goal) == ("grounded", False)
+    assert "/robot/height_m: must be above 0" in half_known.goal_reason
+    monkeypatch.setitem(stubs.TRANSFORMS, ("scan", "base_link"), transform(50, 0, 0))
+    assert "can not stand where it is said to be" in ask(given(node, **ROBOT), MUG).goal_reason
+    monkeypatch.delitem(stubs.TRANSFORMS, ("scan", "base_link"))
+    assert '"base_link" is not known in "scan"' in ask(node, MUG).goal_reason
+    assert not {"~/goal", "~/path"} & set(node.published)
+
+
+@pytest.mark.parametrize("query", [MUG, "the chair closest to the door", "the chair closest to me", "the spaceship"])
+def test_a_scene_that_lies_in_a_map_needs_no_transform_of_the_scan(
+    node: Grounding, placed: Scene, monkeypatch: pytest.MonkeyPatch, query: str
+) -> None:
+    scan, base = stubs.TRANSFORMS["map", "scan"], stubs.TRANSFORMS["map", "base_link"]
+    monkeypatch.setattr(stubs, "TRANSFORMS", {("site", "base_link"): base})
+    in_map = ask(given(node, **ROBOT), query, seen=True)
+    # The same as where tf2 says it.
+    placed._client.call("PATCH", f"/v1/scenes/{placed.id}", body={"scene_to_map": None})
+    monkeypatch.setattr(stubs, "TRANSFORMS", {("map", "scan"): scan, ("scan", "base_link"): transform(0, 0, 0)})
+    by_tf = ask(node, query, seen=True)
+    assert (in_map.status, in_map.has_goal, in_map.goal_reason) == (by_tf.status, by_tf.has_goal, by_tf.goal_reason)
+    assert (in_map.detections.header.frame_id, by_tf.detections.header.frame_id) == ("site", "map")
+    assert len(in_map.detections.detections) == len(by_tf.detections.detections)
+    for one, other in zip(in_map.detections.detections, by_tf.detections.detections):
+        assert (one.id, at(one.bbox.center.position)) == (other.id, pytest.approx(at(other.bbox.center.position)))
+        assert yaw_of(one.bbox.center.orientation) == pytest.approx(yaw_of(other.bbox.center.orientation))
+    assert at(in_map.goal.pose.position) == pytest.approx(at(by_tf.goal.pose.position))
+    told = json.loads(in_map.answer_json)["in_frame"]
+    assert told["frame_id"] == "site"
+    for detection, box in zip(in_map.detections.detections, told["boxes"]):
+        assert at(detection.bbox.center.position) == pytest.approx(box["center"])
+
+
+def test_the_goal_is_where_the_service_says_in_the_map(node: Grounding, placed: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stubs, "TRANSFORMS", {("site", "base_link"): transform(10, 5, 0)})
+    said = ask(given(node, **ROBOT), MUG)
+    told = placed.approach(node.robot(), instance_id=86, start=(10, 5), frame="map").in_frame
+    assert told is not None
+    assert at(said.goal.pose.position) == pytest.approx(told.poses[0].position)
+    assert [said.goal.pose.orientation.z, said.goal.pose.orientation.w] == pytest.approx(told.poses[0].orientation[2:])
+    assert [at(one.pose.position) for one in node.published["~/path"][0].poses] == [pytest.approx(corner) for corner in told.poses[0].path]
+
 
 def test_what_is_not_one_sure_thing_is_no_goal(node: Grounding) -> None:
     several = ask(node, "how many mugs are there")
     assert (several.status, len(several.detections.detections), several.has_goal) == ("grounded", 4, False)
+    assert several.goal_reason == "4 things are meant"
     either = ask(node, "the chair closest to the door")
     assert (either.status, either.has_goal) == ("ambiguous", False)
     assert len(either.detections.detections) >= 2

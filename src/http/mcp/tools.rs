@@ -93,7 +93,8 @@ fn told(value: &impl Serialize) -> Result<CallToolResult, Error> {
 
 fn with_text(value: &impl Serialize, text: String) -> Result<CallToolResult, Error> {
     let mut result = CallToolResult::success(vec![ContentBlock::text(text)]);
-    result.structured_content = Some(serde_json::to_value(value)?);
+    // By way of text: a value would tell an f32's 0.55 as 0.550000011920929.
+    result.structured_content = Some(serde_json::from_str(&serde_json::to_string(value)?)?);
     Ok(result)
 }
 

@@ -9,7 +9,7 @@ use std::sync::{Arc, PoisonError, Weak};
 use tokio::sync::{Mutex, OwnedMutexGuard};
 use tracing::Instrument;
 use uniground_types::answer::Answer;
-use uniground_types::question::GroundRequest;
+use uniground_types::question::{GroundRequest, ParserChoice, ReasonerChoice};
 
 /// Longest idempotency key, bytes.
 const LONGEST_KEY: usize = 256;
@@ -53,7 +53,15 @@ impl Service {
         let digest = Sha256::digest(serde_json::to_vec(&(scene_id, &request))?);
         let asked: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
         // The answer has its id before it is asked: one that was kept before a crash is known again.
-        let (known, answer_id) = self.store.question_of_key(&key, &asked, &self.store.new_id()).await?;
+        let (known, answer_id) = match self.store.question_of_key(&key, &asked, &self.store.new_id()).await {
+            Ok(known) => known,
+            // Nobody is paid: an answer that can not be kept is better than none.
+            Err(error) if !self.may_pay(&request) => {
+                tracing::warn!(error = &error as &dyn std::error::Error, "a question is answered without its key, which can not be kept");
+                (asked.clone(), self.store.new_id())
+            }
+            Err(error) => return Err(error.into()),
+        };
         if known != asked {
             return Err(Error::IdempotencyKeyReused);
         }
@@ -62,5 +70,9 @@ impl Service {
         }
         let asker = Asker { caller, answer_id, pays: None, is_batch: false };
         Ok((self.ground_for(scene_id, request, asker).await?, false))
+    }
+
+    fn may_pay(&self, request: &GroundRequest) -> bool {
+        self.vlm.is_some() && (request.reasoner != ReasonerChoice::Builtin || request.parser == ParserChoice::Vlm)
     }
 }

@@ -21,6 +21,27 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/mcp": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `list_objects`, `get_object`, `relations`, `approach` and
+         *     `render_view`, and scenes and reports as resources.
+         * @description Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions; answers are JSON. A call a POST; nothing is sent unasked.
+         */
+        post: operations["mcp"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/metrics": {
         parameters: {
             query?: never;
@@ -464,6 +485,27 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/scenes/{scene_id}/approach": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Where a robot can stand to see a thing, or to reach it: free floor, a view of the thing, and a way there.
+         * @description `none_possible` and `not_grounded` are answers, not errors: `failed` says which condition left no place, `cells` what each one left.
+         *     A `query` is answered by the built-in reasoner and its answer is kept.
+         */
+        post: operations["approach"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/scenes/{scene_id}/cloud.ply": {
         parameters: {
             query?: never;
@@ -540,6 +582,61 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/scenes/{scene_id}/export": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * The scene with what was found in it, for other programs: GLB, PLY, USDZ or JSON, as people have corrected it.
+         * @description Coordinates are metres in the frame of the scene (Z up); in GLB the node at the root turns them into glTF's Y up. Sent as an attachment
+         *     named after the scene.
+         */
+        get: operations["export_scene"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/scenes/{scene_id}/floor": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The map of a scene's floor as `map_server` of ROS reads it: this is the file beside the picture `floor.png`. */
+        get: operations["get_floor"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/scenes/{scene_id}/floor.png": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** The floor from above: white is free, black occupied, grey never seen; left is the least x, the first row the greatest y. */
+        get: operations["get_floor_picture"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/scenes/{scene_id}/frames": {
         parameters: {
             query?: never;
@@ -566,6 +663,26 @@ export interface paths {
         };
         /** A photograph of the scan, by its index in the list of frames: as it was taken, or with the instances of the current parse over it. */
         get: operations["get_photograph"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/scenes/{scene_id}/graph": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /**
+         * What is in a scene and how it stands to each other: things, the building and zones, and what carries, holds or stands beside what.
+         * @description The relations are those that questions are answered by, as far as they do not depend on who looks.
+         */
+        get: operations["get_graph"];
         put?: never;
         post?: never;
         delete?: never;
@@ -974,6 +1091,101 @@ export interface components {
              */
             views?: number;
         };
+        /** @description Where to stand for a thing, best first, or why nowhere. */
+        Approach: {
+            /** @description The answer to `query`, at `/v1/answers/{id}`; `null` without one. */
+            answer_id?: string | null;
+            answer_status?: components["schemas"]["Status"] | null;
+            cells?: components["schemas"]["CellCounts"] | null;
+            /** @description What came of it, in words. */
+            detail: string;
+            failed?: components["schemas"]["FailedCondition"] | null;
+            /**
+             * Format: float
+             * @description Height of the floor, metres, world frame; `null` where `not_grounded`.
+             */
+            floor_z_m?: number | null;
+            /** @description The frame of all coordinates here, but those of `in_frame`. */
+            frame: components["schemas"]["CoordinateFrame"];
+            in_frame?: components["schemas"]["PosesInFrame"] | null;
+            /**
+             * Format: int32
+             * @description Number of the scene's parse, from 1; instance ids belong to it.
+             */
+            parse_version: number;
+            /** @description Best first: near the thing, little to drive, much of it in sight, room around. */
+            poses: components["schemas"]["StandingPose"][];
+            /** @description UUIDv7 of the scene. */
+            scene_id: string;
+            start?: components["schemas"]["Start"] | null;
+            /** @description Whether there is a place to stand. */
+            status: components["schemas"]["ApproachStatus"];
+            target?: components["schemas"]["ApproachTarget"] | null;
+        };
+        /**
+         * @description Asks where to stand for a thing: one of `instance_id` and `query`.
+         * @example {
+         *       "from": {
+         *         "x": 0.5,
+         *         "y": -1
+         *       },
+         *       "query": "the mug on the coffee table",
+         *       "robot": {
+         *         "eye_height_m": 1.2,
+         *         "height_m": 1.3,
+         *         "radius_m": 0.25
+         *       }
+         *     }
+         */
+        ApproachRequest: {
+            /**
+             * @description Whose coordinates `from` is in, and in which poses are told beside the scene's own (`in_frame`).
+             * @default scene
+             */
+            frame?: components["schemas"]["FrameChoice"];
+            from?: components["schemas"]["FloorPoint"] | null;
+            instance_id?: components["schemas"]["InstanceId"] | null;
+            /**
+             * Format: float
+             * @description Greatest horizontal distance from the middle of the robot to the thing's nearest point, metres.
+             * @default 2.5
+             */
+            max_distance_m?: number;
+            /**
+             * Format: int32
+             * @description Most poses to send back; fewer where there are not so many apart from each other.
+             * @default 3
+             */
+            max_poses?: number;
+            /**
+             * Format: float
+             * @description Least horizontal distance from the middle of the robot to the thing's nearest point, metres.
+             * @default 0
+             */
+            min_distance_m?: number;
+            /** @description What to find, in plain English: answered by the built-in reasoner, and kept like any answer. */
+            query?: string | null;
+            /** @description Who is to stand there. */
+            robot: components["schemas"]["Robot"];
+        };
+        /**
+         * @description Whether there is a place to stand.
+         * @enum {string}
+         */
+        ApproachStatus: "found" | "none_possible" | "not_grounded";
+        /** @description What is approached. */
+        ApproachTarget: {
+            /** @description Axis-aligned box, stray points left out; metres, world frame (Z up). */
+            box: components["schemas"]["Aabb"];
+            /** @description Numbered from 1 within the parse. */
+            id: components["schemas"]["InstanceId"];
+            /** @description What it is called. */
+            name: string;
+            /** @description Box turned about the vertical to fit it. */
+            oriented_box: components["schemas"]["OrientedBox"];
+            /** @description What it stands on or hangs on. */
+            support: components["schemas"]["Support"];
+        };
         /** @description Something that was done: a request that changes what is stored. */
         AuditEntry: {
             /** @description RFC 3339, UTC. */
@@ -1155,6 +1367,44 @@ export interface components {
          * @enum {string}
          */
         CandidateSource: "fused" | "encoder" | "reasoner";
+        /** @description Cells of the floor that each condition left, of those that the conditions before it had left. */
+        CellCounts: {
+            /**
+             * Format: int32
+             * @description No nearer to an obstacle than the robot's radius.
+             */
+            clear: number;
+            /**
+             * Format: int32
+             * @description In one free area with `from`; without it, in the largest.
+             */
+            connected: number;
+            /**
+             * Format: int32
+             * @description With floor, and nothing on or above it that is lower than the robot.
+             */
+            floor: number;
+            /**
+             * Format: int32
+             * @description From where the arm reaches; all where no reach was given.
+             */
+            in_reach: number;
+            /**
+             * Format: int32
+             * @description Looked from: the clearest of every nine cells.
+             */
+            looked_from: number;
+            /**
+             * Format: int32
+             * @description Within the limits of distance.
+             */
+            near: number;
+            /**
+             * Format: int32
+             * @description From where enough of the thing is in sight.
+             */
+            visible: number;
+        };
         /** @description What is to be different. */
         Change: {
             /** @description Which instance. */
@@ -1284,6 +1534,27 @@ export interface components {
          * @enum {string}
          */
         EvidenceMode: "full" | "cached_names" | "sheet" | "two_step";
+        /** @description What was found in a scene, as corrected. */
+        ExportedScene: {
+            /** @description The frame of all coordinates. */
+            frame: components["schemas"]["CoordinateFrame"];
+            /** @description Things, floor, walls and ceiling among them, then parts and wholes, in order of id; what was dismissed is left out. */
+            instances: components["schemas"]["InstanceView"][];
+            /** @description What the scene is called. */
+            name: string;
+            /**
+             * Format: int32
+             * @description Which parse the instances are of: counted from 1, one more whenever the scene is parsed again.
+             */
+            parse_version: number;
+            /** @description UUIDv7. */
+            scene_id: string;
+        };
+        /**
+         * @description The first condition that left no place to stand, in the order they are looked at.
+         * @enum {string}
+         */
+        FailedCondition: "start_not_free" | "no_floor" | "no_room" | "not_reachable" | "out_of_reach" | "not_visible";
         /** @description A field of a request that is wrong, and why. */
         FieldError: {
             /** @description What would be right. */
@@ -1293,6 +1564,83 @@ export interface components {
              * @example /query
              */
             pointer: string;
+        };
+        /**
+         * @description The map of a scene's floor, as `map_server` of ROS reads it: this JSON is YAML too. The picture's upper left pixel is at the least x and
+         *     the greatest y.
+         */
+        FloorMap: {
+            /**
+             * Format: float
+             * @description Height of the floor, metres, world frame.
+             */
+            floor_z_m: number;
+            /**
+             * Format: float
+             * @description A pixel `p` is free where `(255 - p) / 255` is below this: white, 254. In between it is unknown: grey, 205.
+             */
+            free_thresh: number;
+            /**
+             * Format: int32
+             * @description Rows of the picture.
+             */
+            height: number;
+            /**
+             * Format: float
+             * @description What is higher above the floor than this is no obstacle, metres.
+             */
+            height_m: number;
+            /**
+             * @description Name of the picture beside this file.
+             * @example floor.png
+             */
+            image: string;
+            /**
+             * @description Always `trinary`: a cell is free, occupied or unknown.
+             * @example trinary
+             */
+            mode: string;
+            /**
+             * Format: int32
+             * @description Always 0: white is free, black occupied.
+             */
+            negate: number;
+            /**
+             * Format: float
+             * @description A pixel `p` is occupied where `(255 - p) / 255` is above this: black, 0.
+             */
+            occupied_thresh: number;
+            /** @description x, y and yaw of the lower left corner of the lower left pixel; metres, world frame, and radians, always 0. */
+            origin: number[];
+            /**
+             * Format: float
+             * @description Side of a pixel, metres.
+             */
+            resolution: number;
+            /**
+             * Format: int32
+             * @description Columns of the picture.
+             */
+            width: number;
+        };
+        /** @description A place on the floor: metres, world frame (Z up), unless a request's `frame` says otherwise. */
+        FloorPoint: {
+            /**
+             * Format: float
+             * @description Metres along X.
+             */
+            x: number;
+            /**
+             * Format: float
+             * @description Metres along Y.
+             */
+            y: number;
+            /**
+             * Format: float
+             * @description Metres along Z: wanted where the `frame`'s Z does not point up, of no importance elsewhere.
+             * @default 0
+             */
+            z?: number;
         };
         /**
          * @description Whose coordinates a question and its answer's boxes are in. The scene's own are told in any case.
@@ -1395,6 +1743,52 @@ export interface components {
              */
             voxel_m?: number;
         };
+        /** @description What holds between two nodes: `from` stands in the relation to `to`. */
+        GraphEdge: {
+            /**
+             * Format: float
+             * @description Shortest distance between the two boxes, metres; 0 where they touch.
+             */
+            distance_m: number;
+            /**
+             * @description A node's `id`.
+             * @example i31
+             */
+            from: string;
+            /** @description What holds. */
+            relation: components["schemas"]["GraphRelation"];
+            /**
+             * Format: float
+             * @description How well it holds by the geometry that answers questions, `0..=1`; 1 for what the parse itself says (support, parts).
+             */
+            score: number;
+            /**
+             * @description Another node's `id`.
+             * @example i12
+             */
+            to: string;
+        };
+        /** @description Something in the scene. */
+        GraphNode: {
+            /** @description Axis-aligned box; of a zone, around the things that make it. */
+            box: components["schemas"]["Aabb"];
+            /**
+             * @description `i12` for instance 12, `z1` for the first zone.
+             * @example i12
+             */
+            id: string;
+            instance_id?: components["schemas"]["InstanceId"] | null;
+            /** @description What kind of node it is. */
+            kind: components["schemas"]["NodeKind"];
+            /** @description What it is called: "red sofa", "wall", "kitchen". */
+            name: string;
+            oriented_box?: components["schemas"]["OrientedBox"] | null;
+        };
+        /**
+         * @description A relation of the graph.
+         * @enum {string}
+         */
+        GraphRelation: "part_of" | "on" | "on_wall" | "inside" | "above" | "next_to" | "in_zone";
         /** @description A question about a scene. */
         GroundRequest: {
             /** @description For experiments: what a vision-language model is not told. */
@@ -1539,6 +1933,7 @@ export interface components {
             frame_id?: string | null;
             /** @description From the scene's coordinates to these: for everything else the answer tells. */
             scene_to_frame: components["schemas"]["SceneToFrame"];
+            stamp?: components["schemas"]["Stamp"] | null;
         };
         /**
          * Format: int32
@@ -1947,6 +2342,8 @@ export interface components {
              */
             thresholds?: number[];
         };
+        /** @description A message of JSON-RPC 2.0. */
+        Message: Record<string, never>;
         /** @description Which of the server's models take part. */
         ModelChoice: {
             /**
@@ -2028,6 +2425,11 @@ export interface components {
             /** @description What it lets its holder do. */
             scope: components["schemas"]["Scope"];
         };
+        /**
+         * @description What kind of node it is.
+         * @enum {string}
+         */
+        NodeKind: "thing" | "part" | "whole" | "structure" | "zone";
         /**
          * @description Why nothing was chosen.
          * @enum {string}
@@ -2468,11 +2870,33 @@ export interface components {
             /** @description Full extent along the box's own axes, in the frame's units. */
             size: number[];
         };
+        /** @description A place to stand as `geometry_msgs/Pose` has it. */
+        PlacedPose: {
+            /** @description Turns the robot's axes, X ahead and Z up, to the frame's: unit quaternion `x, y, z, w`. */
+            orientation: number[];
+            /** @description The corners of the way, in the frame's units. */
+            path: number[][];
+            /** @description Middle of the robot's footprint, on the floor, in the frame's units. */
+            position: number[];
+        };
         /**
          * @description How poses are to be read.
          * @enum {string}
          */
         PoseConvention: "camera_to_world" | "world_to_camera";
+        /** @description Places to stand in other coordinates than the scene's. */
+        PosesInFrame: {
+            /** @description `source` or `map`. */
+            frame: components["schemas"]["FrameChoice"];
+            /** @description What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said. */
+            frame_id?: string | null;
+            /** @description One for each of `poses`, in their order. */
+            poses: components["schemas"]["PlacedPose"][];
+            /** @description From the scene's coordinates to these: for everything else that is told. */
+            scene_to_frame: components["schemas"]["SceneToFrame"];
+            /** @description When this was told; with `frame_id` the header of a ROS message. */
+            stamp: components["schemas"]["Stamp"];
+        };
         /** @description An error. `code` is stable; `detail` is for people and names the file, frame or field. */
         Problem: {
             /**
@@ -2696,6 +3120,33 @@ export interface components {
              */
             stride?: number;
         };
+        /** @description A robot as an upright cylinder on the floor. */
+        Robot: {
+            /**
+             * Format: float
+             * @description Where it sees from: above the middle of its footprint, metres above the floor, at most `height_m`.
+             * @example 1.2
+             */
+            eye_height_m: number;
+            /**
+             * Format: float
+             * @description What is higher above the floor than this it passes under, metres.
+             * @example 1.3
+             */
+            height_m: number;
+            /**
+             * Format: float
+             * @description Of the circle around its footprint, metres.
+             * @example 0.25
+             */
+            radius_m: number;
+            /**
+             * Format: float
+             * @description How far its arm reaches out of the cylinder, metres. Left out, it only has to see the thing.
+             * @example 0.7
+             */
+            reach_m?: number | null;
+        };
         /**
          * @description What a model is for.
          * @enum {string}
@@ -2848,6 +3299,22 @@ export interface components {
              * @description Small even patches the cloud was cut into before merging.
              */
             superpoints: number;
+        };
+        /** @description A scene graph: things, parts, wholes, the building and zones, and relations between them. Metres, world frame (Z up). */
+        SceneGraph: {
+            /** @description In order of their nodes. What goes without saying is left out: a symmetric relation stands once, and no relation has its inverse. */
+            edges: components["schemas"]["GraphEdge"][];
+            /** @description The frame of all coordinates. */
+            frame: components["schemas"]["CoordinateFrame"];
+            /** @description In order of instance id, then zones. */
+            nodes: components["schemas"]["GraphNode"][];
+            /**
+             * Format: int32
+             * @description Number of the scene's parse, from 1; instance ids belong to it.
+             */
+            parse_version: number;
+            /** @description UUIDv7 of the scene. */
+            scene_id: string;
         };
         /** @description One page of scenes. */
         SceneList: {
@@ -3028,6 +3495,83 @@ export interface components {
             /** @description `import`, `superpoints`, `masks_and_lifting`, `merging`, `part_merging`, `hierarchy`, `refinement`, `views`, `instances`, or with models `appearance`. */
             stage: string;
         };
+        /** @description A moment, as `builtin_interfaces/Time` has it. */
+        Stamp: {
+            /**
+             * Format: int32
+             * @description Nanoseconds on top.
+             */
+            nanosec: number;
+            /**
+             * Format: int64
+             * @description Seconds since 1970, UTC.
+             */
+            sec: number;
+        };
+        /** @description A place to stand, facing the thing. World frame (Z up), metres. */
+        StandingPose: {
+            /**
+             * Format: float
+             * @description From the middle of the robot to the nearest obstacle; never less than the robot's radius. `null` where there is none at all.
+             */
+            clearance_m?: number | null;
+            /**
+             * Format: float
+             * @description Horizontal distance to the thing's nearest point.
+             */
+            distance_m: number;
+            /** @description What to look at: the middle of what is in sight of the thing. */
+            look_at: number[];
+            /**
+             * @description From the start to here, corner by corner, straight in between; free of obstacles by the robot's radius, to within half a cell of the
+             *     grid. Empty without `from`.
+             */
+            path: number[][];
+            /**
+             * Format: float
+             * @description Length of `path`; `null` without `from`.
+             */
+            path_m?: number | null;
+            /** @description Middle of the robot's footprint, on the floor. */
+            position: number[];
+            /**
+             * Format: float
+             * @description From the robot's cylinder to the thing's nearest point: what the arm has to reach.
+             */
+            reach_m: number;
+            /**
+             * Format: float
+             * @description Share of the thing's points that nothing else hides from the eye, `0..=1`; what it hides of itself counts as seen.
+             */
+            visible_share: number;
+            /** @description Why here, in words. */
+            why: string;
+            /**
+             * Format: float
+             * @description Direction it faces about +Z, radians; 0 looks along +X.
+             */
+            yaw_rad: number;
+        };
+        /** @description Where the robot sets out. */
+        Start: {
+            /**
+             * Format: float
+             * @description How far that is from what was asked for, metres; more than a cell where `from` was not free.
+             */
+            moved_m: number;
+            /** @description Whether the robot can stand where it says it is. */
+            was_free: boolean;
+            /**
+             * Format: float
+             * @description Where paths begin, metres, world frame: the nearest free cell to what was asked for.
+             */
+            x: number;
+            /**
+             * Format: float
+             * @description Metres along Y.
+             */
+            y: number;
+        };
         /** @description A server in numbers. */
         Stats: {
             /** @description How much room everything takes. */
@@ -3171,6 +3715,8 @@ export interface components {
             name: string;
             /** @description Box turned about the vertical to fit it; metres, world frame (Z up). */
             oriented_box: components["schemas"]["OrientedBox"];
+            parent?: components["schemas"]["InstanceId"] | null;
+            support?: components["schemas"]["Support"] | null;
         };
         /** @description Wall-clock milliseconds per step. */
         Timings: {
@@ -3339,6 +3885,218 @@ export interface operations {
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 421,
                      *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    mcp: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["Message"];
+            };
+        };
+        responses: {
+            /** @description The answer, or an error of the protocol */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Message"];
+                };
+            };
+            /** @description A notification was heard */
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The body can not be read */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Message"];
+                    /**
+                     * @example {
+                     *       "code": "malformed_json",
+                     *       "detail": "expected `,` or `}` at line 1 column 17",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 400,
+                     *       "title": "Bad Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scope_missing",
+                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 403,
+                     *       "title": "Forbidden",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such method */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Message"];
+                };
+            };
+            /** @description `Accept` must name application/json and text/event-stream */
+            406: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body is too large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "body_too_large",
+                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 413,
+                     *       "title": "Payload Too Large",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Another content type is wanted */
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unsupported_media_type",
+                     *       "detail": "the body must be application/json, not \"text/plain\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 415,
+                     *       "title": "Unsupported Media Type",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
                      *       "type": "about:blank"
                      *     }
                      */
@@ -7238,6 +7996,276 @@ export interface operations {
             };
         };
     };
+    approach: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ApproachRequest"];
+            };
+        };
+        responses: {
+            /** @description As asked for */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Approach"];
+                };
+            };
+            /** @description The body can not be read */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "malformed_json",
+                     *       "detail": "expected `,` or `}` at line 1 column 17",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 400,
+                     *       "title": "Bad Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scope_missing",
+                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 403,
+                     *       "title": "Forbidden",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not as things are now */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_ready",
+                     *       "detail": "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 409,
+                     *       "title": "Conflict",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body is too large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "body_too_large",
+                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 413,
+                     *       "title": "Payload Too Large",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Another content type is wanted */
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unsupported_media_type",
+                     *       "detail": "the body must be application/json, not \"text/plain\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 415,
+                     *       "title": "Unsupported Media Type",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A model failed */
+            502: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "vlm_unavailable",
+                     *       "detail": "the vision-language model could not be asked, in 5 attempts: it answered 500",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 502,
+                     *       "title": "Bad Gateway",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not now: again after `Retry-After` */
+            503: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "vlm_down",
+                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 503,
+                     *       "title": "Service Unavailable",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     get_cloud: {
         parameters: {
             query?: never;
@@ -8032,6 +9060,553 @@ export interface operations {
             };
         };
     };
+    export_scene: {
+        parameters: {
+            query: {
+                /** @description Kind of file. */
+                format: "glb" | "ply" | "usdz" | "json";
+                /** @description Most points in the file: a larger cloud is thinned evenly, always to the same points. JSON has none. */
+                points?: number;
+            };
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description As asked for */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ExportedScene"];
+                    "application/octet-stream": components["schemas"]["Binary"];
+                    "model/gltf-binary": components["schemas"]["Binary"];
+                    "model/vnd.usdz+zip": components["schemas"]["Binary"];
+                };
+            };
+            /** @description The part that `Range` names */
+            206: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not as things are now */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_ready",
+                     *       "detail": "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 409,
+                     *       "title": "Conflict",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The file has no such part */
+            416: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not now: again after `Retry-After` */
+            503: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "vlm_down",
+                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 503,
+                     *       "title": "Service Unavailable",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    get_floor: {
+        parameters: {
+            query?: {
+                /** @description Height of the robot, metres: what is higher above the floor is no obstacle. */
+                height_m?: number;
+            };
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description As asked for */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["FloorMap"];
+                };
+            };
+            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not as things are now */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_ready",
+                     *       "detail": "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 409,
+                     *       "title": "Conflict",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not now: again after `Retry-After` */
+            503: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "vlm_down",
+                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 503,
+                     *       "title": "Service Unavailable",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    get_floor_picture: {
+        parameters: {
+            query?: {
+                /** @description Height of the robot, metres: what is higher above the floor is no obstacle. */
+                height_m?: number;
+            };
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description As asked for */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "image/png": components["schemas"]["Binary"];
+                };
+            };
+            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not as things are now */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_ready",
+                     *       "detail": "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 409,
+                     *       "title": "Conflict",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not now: again after `Retry-After` */
+            503: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "vlm_down",
+                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 503,
+                     *       "title": "Service Unavailable",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     list_frames: {
         parameters: {
             query?: never;
@@ -8319,10 +9894,195 @@ export interface operations {
             };
         };
     };
+    get_graph: {
+        parameters: {
+            query?: {
+                /** @description An instance: it and what it stands in a relation to, alone. */
+                around?: number;
+                /** @description JSON, `GraphML`, or lines of text for a language model. */
+                format?: "json" | "graphml" | "text";
+                /** @description Things and the building; besides these parts, wholes, or all of them. */
+                level?: "things" | "parts" | "wholes" | "all";
+            };
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description As asked for */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/graphml+xml": string;
+                    "application/json": components["schemas"]["SceneGraph"];
+                    "text/plain": string;
+                };
+            };
+            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not as things are now */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_ready",
+                     *       "detail": "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 409,
+                     *       "title": "Conflict",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not now: again after `Retry-After` */
+            503: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "vlm_down",
+                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 503,
+                     *       "title": "Service Unavailable",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     ground: {
         parameters: {
             query?: never;
-            header?: never;
+            header?: {
+                /** @description The same key again returns the answer it got: a model is paid once, however often a question is sent */
+                "Idempotency-Key"?: string | null;
+            };
             path: {
                 scene_id: string;
             };
@@ -8337,6 +10097,8 @@ export interface operations {
             /** @description As asked for */
             200: {
                 headers: {
+                    /** @description `true`: this answer was given before, under the same `Idempotency-Key` */
+                    "Idempotent-Replayed"?: string | null;
                     [name: string]: unknown;
                 };
                 content: {

@@ -9,7 +9,7 @@ import os
 import time
 import uuid
 from collections.abc import AsyncIterator, Iterable, Mapping
-from typing import TYPE_CHECKING, Any, BinaryIO, Callable, Optional, TypeVar, Union
+from typing import TYPE_CHECKING, Any, Callable, Optional, TypeVar, Union
 
 import httpx
 
@@ -21,11 +21,14 @@ from uniground._wire import (
     UnigroundError,
     chunks,
     decode,
+    given,
     pause_before,
     problem_of,
     settings,
     to_json,
     transport_problem,
+    whole_lines,
+    written,
 )
 
 if TYPE_CHECKING:
@@ -181,7 +184,7 @@ class AsyncClient:
         with it when it is run again, also where it was paused. Another `label`, or an `idempotency_key` of yours, asks anew.
         """
         scene_id, version = (scene.id, scene.info.parse_version) if isinstance(scene, AsyncScene) else (scene, None)
-        lines: list[Mapping[str, Any]] = [{"defaults": _given({**(defaults or {}), "scene_id": scene_id})}]
+        lines: list[Mapping[str, Any]] = [{"defaults": given({**(defaults or {}), "scene_id": scene_id})}]
         lines += [{"query": question} if isinstance(question, str) else question for question in questions]
         body = b"\n".join(to_json(line) for line in lines)
         params = {"label": label, "concurrency": concurrency, "max_cost_usd": max_cost_usd}
@@ -234,7 +237,7 @@ class AsyncClient:
         while True:
             cause: Optional[httpx.TransportError] = None
             try:
-                reply = await self._http.request(method, path, params=_given(params), headers=headers, content=content())
+                reply = await self._http.request(method, path, params=given(params), headers=headers, content=content())
                 if reply.is_success:
                     return reply
                 error = problem_of(reply)
@@ -250,7 +253,7 @@ class AsyncClient:
         """A reply line by line while it comes; not tried again, the caller knows where to go on."""
         timeout = self._http.timeout if silence_s is None else httpx.Timeout(silence_s)
         try:
-            async with self._http.stream("GET", path, params=_given(params), timeout=timeout) as reply:
+            async with self._http.stream("GET", path, params=given(params), timeout=timeout) as reply:
                 if not reply.is_success:
                     await reply.aread()
                     raise problem_of(reply)
@@ -314,10 +317,13 @@ class AsyncScene:
         error = job.error or models.JobError(code="cancelled", detail=f"job {job.id} was cancelled")
         raise UnigroundError(error.code, error.detail, job_id=job.id)
 
-    async def ask(self, query: str, **options: Unpack[models.GroundOptions]) -> models.Answer:
-        """Answers a question. `options` are the fields of the API's request: see `uniground.models.GroundOptions`."""
-        body = {"query": query, **options}
-        return decode(models.Answer, await self._client.call("POST", f"/v1/scenes/{self.id}/ground", body=body))
+    async def ask(self, query: str, *, idempotency_key: Optional[str] = None, **options: Unpack[models.GroundOptions]) -> models.Answer:
+        """Answers a question. `options` are the fields of the API's request: see `uniground.models.GroundOptions`.
+
+        Every call has a key, so that a question whose connection was lost is sent again and a model is still paid once. With an
+        `idempotency_key` of yours the answer that it got before comes back, however often the program is run.
+        """
+        return decode(models.Answer, await self._post("ground", {"query": query, **options}, idempotency_key or str(uuid.uuid4())))
 
     async def ask_all(
         self, questions: Iterable[Union[str, Mapping[str, Any]]], **options: Unpack[models.GroundOptions]
@@ -328,8 +334,32 @@ class AsyncScene:
 
     async def shortlist(self, query: str, **options: Unpack[models.ShortlistOptions]) -> models.Shortlisted:
         """Candidates by looks, or by names and attributes, without regard to relations."""
-        body = {"query": query, **options}
-        return decode(models.Shortlisted, await self._client.call("POST", f"/v1/scenes/{self.id}/shortlist", body=body))
+        return decode(models.Shortlisted, await self._post("shortlist", {"query": query, **options}))
+
+    async def approach(
+        self, robot: models.Robot, *, start: Optional[Iterable[float]] = None, **options: Unpack[models.ApproachOptions]
+    ) -> models.Approach:
+        """Where a robot can stand for a thing, the best place first, or why nowhere. `options` are the other fields of the API's request,
+        `query` or `instance_id` one of them; `start` is its `from`, where the robot is: x and y, and z where `frame` wants it."""
+        begin = {} if start is None else {"from": dict(zip("xyz", start))}
+        return decode(models.Approach, await self._post("approach", {"robot": robot, **begin, **options}))
+
+    async def floor(self, height_m: float = 1.8) -> models.FloorMap:
+        """How the pixels of `floor_picture` lie in the scene, as `map_server` of ROS reads it."""
+        return decode(models.FloorMap, await self._client.call("GET", f"/v1/scenes/{self.id}/floor", params={"height_m": height_m}))
+
+    async def floor_picture(self, height_m: float = 1.8) -> bytes:
+        """The floor from above, PNG: 254 free, 0 occupied by something below `height_m`, 205 unknown; the greatest y is on top."""
+        return await self._client.download(f"/v1/scenes/{self.id}/floor.png", {"height_m": height_m})
+
+    async def graph(self, level: str = "things", around: Optional[int] = None) -> models.SceneGraph:
+        """What is on, inside, above and next to what, and zones: of the whole scene, or `around` one instance."""
+        params = {"level": level, "around": around}
+        return decode(models.SceneGraph, await self._client.call("GET", f"/v1/scenes/{self.id}/graph", params=params))
+
+    async def graph_text(self, level: str = "things", around: Optional[int] = None) -> str:
+        """The same, a line for each thing: for the prompt of a language model."""
+        return (await self._client.download(f"/v1/scenes/{self.id}/graph", {"format": "text", "level": level, "around": around})).decode()
 
     async def instances(self, level: str = "things") -> list[models.InstanceView]:
         """What the scene was cut into: `things`, `parts`, `wholes` or `all`."""
@@ -341,7 +371,7 @@ class AsyncScene:
 
     async def correct(self, **change: Unpack[models.Change]) -> models.Correction:
         """Says what is wrong (`kind="rename", instance_id=3, name="red mug"`; `dismiss`, `merge`, `split`): answers know it from now on."""
-        return decode(models.Correction, await self._client.call("POST", f"/v1/scenes/{self.id}/corrections", body=change))
+        return decode(models.Correction, await self._post("corrections", change))
 
     async def corrections(self) -> list[models.Correction]:
         """What was said of the parse, newest first, what was taken back as well."""
@@ -365,22 +395,41 @@ class AsyncScene:
         """Points and colours; with `instances`, coloured by thing and with its id for each point."""
         return read_ply(await self._client.download(f"/v1/scenes/{self.id}/{'instances' if instances else 'cloud'}.ply"))
 
+    async def export(self, format: str, file: Union[str, os.PathLike[str], None] = None, *, points: Optional[int] = None) -> bytes:
+        """The scene for other programs: `glb`, `ply`, `usdz` or `json`, with at most so many points. With a `file`, written there too."""
+        content = await self._client.download(f"/v1/scenes/{self.id}/export", {"format": format, "points": points})
+        return content if file is None else await asyncio.to_thread(written, content, file)
+
     async def report(self) -> models.SceneReport:
         """What the parse did, took and warns of."""
         return decode(models.SceneReport, await self._client.call("GET", f"/v1/scenes/{self.id}/report"))
 
     async def parse(self, **request: Unpack[models.ParseRequest]) -> AsyncScene:
         """Parses the scan anew: `preset`, and single `settings` that replace its own. Until `wait` is over the old parse is asked."""
-        await self._client.call("POST", f"/v1/scenes/{self.id}/parse", body=request)
+        await self._post("parse", request)
         return await self.refresh()
 
     async def rename(self, name: str) -> AsyncScene:
-        self.info = decode(models.Scene, await self._client.call("PATCH", f"/v1/scenes/{self.id}", body={"name": name}))
-        return self
+        return await self._change({"name": name})
+
+    async def place_in_map(
+        self, rotation: Iterable[float], translation_m: Iterable[float], map_frame_id: Optional[str] = None
+    ) -> AsyncScene:
+        """Says where the scene lies in a map, for `frame="map"`: `map = rotation * scene + translation_m`, a unit quaternion x, y, z, w."""
+        place = {"rotation": list(rotation), "translation_m": list(translation_m)}
+        return await self._change(given({"scene_to_map": place, "map_frame_id": map_frame_id}))
 
     async def delete(self) -> None:
         """Deletes the scene, its answers and files."""
         await self._client.call("DELETE", f"/v1/scenes/{self.id}")
+
+    async def _change(self, change: Mapping[str, Any]) -> AsyncScene:
+        self.info = decode(models.Scene, await self._client.call("PATCH", f"/v1/scenes/{self.id}", body=change))
+        return self
+
+    async def _post(self, what: str, body: Mapping[str, Any], key: Optional[str] = None) -> Any:
+        path, headers = f"/v1/scenes/{self.id}/{what}", {"content-type": "application/json"}
+        return (await self._client._send("POST", path, headers=headers, content=lambda: to_json(body), idempotency_key=key)).json()
 
 
 class AsyncBatch:
@@ -425,7 +474,7 @@ class AsyncBatch:
         """Writes results to a file, a line of JSON each, behind those that it has: a program that was stopped goes on. Returns how many
         are there now."""
         with open(file, "a+b") as out:  # noqa: ASYNC230, a line at a time
-            there = _whole_lines(out)
+            there = whole_lines(out)
             async for line in self._result_lines(there, follow=True):
                 out.write(line.encode() + b"\n")
                 out.flush()
@@ -449,15 +498,3 @@ class AsyncBatch:
                 why = self.info.reason or f"{self.info.state} after {start} of {self.info.items} questions"
                 raise UnigroundError(f"batch_{self.info.state}", f"batch {self.id}: {why}", job_id=self.info.job_id)
             await asyncio.sleep(POLL_S)
-
-
-def _given(params: Optional[Mapping[str, Any]]) -> dict[str, Any]:
-    return {name: value for name, value in (params or {}).items() if value is not None}
-
-
-def _whole_lines(file: BinaryIO) -> int:
-    """How many lines a file has; what was only half written is cut off."""
-    file.seek(0)
-    lines = file.read()
-    file.truncate(lines.rfind(b"\n") + 1)
-    return lines.count(b"\n")

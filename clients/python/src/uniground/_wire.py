@@ -7,8 +7,9 @@ import functools
 import io
 import json
 import os
-from collections.abc import Callable, Iterator
-from typing import Any, Optional, TypeVar, Union, get_args, get_origin, get_type_hints
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, BinaryIO, Optional, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import httpx
 import numpy as np
@@ -166,3 +167,22 @@ def chunks(file: io.BufferedIOBase, total: int, on_progress: Optional[Progress])
         sent += len(piece)
         if on_progress:
             on_progress(sent, total)
+
+
+def given(params: Optional[Mapping[str, Any]]) -> dict[str, Any]:
+    """Parameters without those that nobody gave."""
+    return {name: value for name, value in (params or {}).items() if value is not None}
+
+
+def written(content: bytes, file: Union[str, os.PathLike[str]]) -> bytes:
+    """What was written to a file."""
+    Path(file).write_bytes(content)
+    return content
+
+
+def whole_lines(file: BinaryIO) -> int:
+    """How many lines a file has; what was only half written is cut off."""
+    file.seek(0)
+    lines = file.read()
+    file.truncate(lines.rfind(b"\n") + 1)
+    return lines.count(b"\n")

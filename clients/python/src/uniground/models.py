@@ -14,6 +14,8 @@ from uniground._values import AnswerMethods, BoxMethods
 
 Ablation = Literal["full", "no_global", "no_candidate", "simple_prompt", "raw_render", "no_loop"]
 """Parts of the paper's prompt left out; only a vision-language model has a prompt."""
+ApproachStatus = Literal["found", "none_possible", "not_grounded"]
+"""Whether there is a place to stand."""
 BatchState = Literal["running", "paused", "succeeded", "cancelled"]
 """Where a batch stands."""
 Binary = str
@@ -24,10 +26,14 @@ DirectionConvention = Literal["paper", "viewer"]
 """Named conventions. World frame, Z up."""
 EvidenceMode = Literal["full", "cached_names", "sheet", "two_step"]
 """What a vision-language model is shown of the candidates."""
+FailedCondition = Literal["start_not_free", "no_floor", "no_room", "not_reachable", "out_of_reach", "not_visible"]
+"""The first condition that left no place to stand, in the order they are looked at."""
 FrameChoice = Literal["scene", "source", "map"]
 """Whose coordinates a question and its answer's boxes are in. The scene's own are told in any case."""
 FrameIndex = int
 """Position of a frame in the scan's own list; stable when frames are skipped."""
+GraphRelation = Literal["part_of", "on", "on_wall", "inside", "above", "next_to", "in_zone"]
+"""A relation of the graph."""
 Include = Literal["candidates", "evidence", "trace"]
 """Parts of an answer that can be left out of the reply."""
 InstanceId = int
@@ -40,8 +46,12 @@ LevellingChoice = Literal["auto", "off"]
 """Whether a world that is tilted is turned level."""
 MaskOrder = Literal["ascending_quality", "larger_first"]
 """How masks that overlap are painted."""
+Message = Mapping[str, Any]
+"""A message of JSON-RPC 2.0."""
 NoMatchReason = Literal["absent", "not_recognised", "not_english", "elsewhere", "none_seen", "not_listed"]
 """Why nothing was chosen."""
+NodeKind = Literal["thing", "part", "whole", "structure", "zone"]
+"""What kind of node it is."""
 Normalisation = Literal["normalised", "literal"]
 """How Eq. (1) averages over frames."""
 ParsePreset = Literal["default", "paper"]
@@ -190,6 +200,69 @@ class AppearanceSettings(TypedDict, total=False):
     """Least share of its points a view must show; the best view always counts. Paper: 0.2."""
     views: int
     """Views looked at per instance, those that show most. Paper: 10."""
+
+
+@dataclass
+class Approach:
+    """Where to stand for a thing, best first, or why nowhere."""
+    scene_id: str
+    """UUIDv7 of the scene."""
+    parse_version: int
+    """Number of the scene's parse, from 1; instance ids belong to it."""
+    status: ApproachStatus
+    """Whether there is a place to stand."""
+    poses: list[StandingPose]
+    """Best first: near the thing, little to drive, much of it in sight, room around."""
+    detail: str
+    """What came of it, in words."""
+    frame: CoordinateFrame
+    """The frame of all coordinates here, but those of `in_frame`."""
+    answer_id: Optional[str] = None
+    """The answer to `query`, at `/v1/answers/{id}`; `null` without one."""
+    answer_status: Optional[Status] = None
+    cells: Optional[CellCounts] = None
+    failed: Optional[FailedCondition] = None
+    floor_z_m: Optional[float] = None
+    """Height of the floor, metres, world frame; `null` where `not_grounded`."""
+    in_frame: Optional[PosesInFrame] = None
+    start: Optional[Start] = None
+    target: Optional[ApproachTarget] = None
+
+
+_ApproachOptions = TypedDict("_ApproachOptions", {"from": "Optional[FloorPoint]"}, total=False)
+class ApproachOptions(_ApproachOptions, total=False):
+    """What `ApproachRequest` may have besides."""
+    frame: FrameChoice
+    """Whose coordinates `from` is in, and in which poses are told beside the scene's own (`in_frame`)."""
+    instance_id: Optional[InstanceId]
+    """An instance of the scene's current parse."""
+    max_distance_m: float
+    """Greatest horizontal distance from the middle of the robot to the thing's nearest point, metres."""
+    max_poses: int
+    """Most poses to send back; fewer where there are not so many apart from each other."""
+    min_distance_m: float
+    """Least horizontal distance from the middle of the robot to the thing's nearest point, metres."""
+    query: Optional[str]
+    """What to find, in plain English: answered by the built-in reasoner, and kept like any answer."""
+class ApproachRequest(ApproachOptions):
+    """Asks where to stand for a thing: one of `instance_id` and `query`."""
+    robot: Robot
+    """Who is to stand there."""
+
+
+@dataclass
+class ApproachTarget:
+    """What is approached."""
+    id: InstanceId
+    """Numbered from 1 within the parse."""
+    name: str
+    """What it is called."""
+    box: Aabb
+    """Axis-aligned box, stray points left out; metres, world frame (Z up)."""
+    oriented_box: OrientedBox
+    """Box turned about the vertical to fit it."""
+    support: Support
+    """What it stands on or hangs on."""
 
 
 @dataclass
@@ -374,6 +447,25 @@ class Candidate:
     """Path of the picture that shows it best, a crop; `null` where no frame shows it, and where there is no service."""
 
 
+@dataclass
+class CellCounts:
+    """Cells of the floor that each condition left, of those that the conditions before it had left."""
+    near: int
+    """Within the limits of distance."""
+    floor: int
+    """With floor, and nothing on or above it that is lower than the robot."""
+    clear: int
+    """No nearer to an obstacle than the robot's radius."""
+    connected: int
+    """In one free area with `from`; without it, in the largest."""
+    in_reach: int
+    """From where the arm reaches; all where no reach was given."""
+    looked_from: int
+    """Looked from: the clearest of every nine cells."""
+    visible: int
+    """From where enough of the thing is in sight."""
+
+
 class ChangeOptions(TypedDict, total=False):
     """What `Change` may have besides."""
     instance_id: InstanceId
@@ -484,12 +576,68 @@ class DiskUse:
 
 
 @dataclass
+class ExportedScene:
+    """What was found in a scene, as corrected."""
+    scene_id: str
+    """UUIDv7."""
+    name: str
+    """What the scene is called."""
+    parse_version: int
+    """Which parse the instances are of: counted from 1, one more whenever the scene is parsed again."""
+    frame: CoordinateFrame
+    """The frame of all coordinates."""
+    instances: list[InstanceView]
+    """Things, floor, walls and ceiling among them, then parts and wholes, in order of id; what was dismissed is left out."""
+
+
+@dataclass
 class FieldError:
     """A field of a request that is wrong, and why."""
     pointer: str
     """JSON pointer into the request body, or the name of a query parameter."""
     detail: str
     """What would be right."""
+
+
+@dataclass
+class FloorMap:
+    """The map of a scene's floor, as `map_server` of ROS reads it: this JSON is YAML too. The picture's upper left pixel is at the least x
+    and the greatest y.
+    """
+    image: str
+    """Name of the picture beside this file."""
+    mode: str
+    """Always `trinary`: a cell is free, occupied or unknown."""
+    resolution: float
+    """Side of a pixel, metres."""
+    origin: list[float]
+    """x, y and yaw of the lower left corner of the lower left pixel; metres, world frame, and radians, always 0."""
+    negate: int
+    """Always 0: white is free, black occupied."""
+    occupied_thresh: float
+    """A pixel `p` is occupied where `(255 - p) / 255` is above this: black, 0."""
+    free_thresh: float
+    """A pixel `p` is free where `(255 - p) / 255` is below this: white, 254. In between it is unknown: grey, 205."""
+    width: int
+    """Columns of the picture."""
+    height: int
+    """Rows of the picture."""
+    height_m: float
+    """What is higher above the floor than this is no obstacle, metres."""
+    floor_z_m: float
+    """Height of the floor, metres, world frame."""
+
+
+class FloorPointOptions(TypedDict, total=False):
+    """What `FloorPoint` may have besides."""
+    z: float
+    """Metres along Z: wanted where the `frame`'s Z does not point up, of no importance elsewhere."""
+class FloorPoint(FloorPointOptions):
+    """A place on the floor: metres, world frame (Z up), unless a request's `frame` says otherwise."""
+    x: float
+    """Metres along X."""
+    y: float
+    """Metres along Y."""
 
 
 @dataclass
@@ -542,6 +690,36 @@ class FusionSettings(TypedDict, total=False):
     """Distances are kept this many voxels to either side of a surface. More survives more noise, less keeps thin things apart."""
     voxel_m: float
     """Edge of the voxels, metres; points come out about as far apart."""
+
+
+@dataclass
+class GraphEdge:
+    """What holds between two nodes: `from` stands in the relation to `to`."""
+    from_: str
+    """A node's `id`."""
+    to: str
+    """Another node's `id`."""
+    relation: GraphRelation
+    """What holds."""
+    score: float
+    """How well it holds by the geometry that answers questions, `0..=1`; 1 for what the parse itself says (support, parts)."""
+    distance_m: float
+    """Shortest distance between the two boxes, metres; 0 where they touch."""
+
+
+@dataclass
+class GraphNode:
+    """Something in the scene."""
+    id: str
+    """`i12` for instance 12, `z1` for the first zone."""
+    kind: NodeKind
+    """What kind of node it is."""
+    name: str
+    """What it is called: "red sofa", "wall", "kitchen"."""
+    box: Aabb
+    """Axis-aligned box; of a zone, around the things that make it."""
+    instance_id: Optional[InstanceId] = None
+    oriented_box: Optional[OrientedBox] = None
 
 
 class GroundOptions(TypedDict, total=False):
@@ -656,6 +834,7 @@ class InFrame:
     """One for each of `targets`, in their order."""
     frame_id: Optional[str] = None
     """What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said."""
+    stamp: Optional[Stamp] = None
 
 
 @dataclass
@@ -1144,6 +1323,32 @@ class PlacedBox:
 
 
 @dataclass
+class PlacedPose:
+    """A place to stand as `geometry_msgs/Pose` has it."""
+    position: list[float]
+    """Middle of the robot's footprint, on the floor, in the frame's units."""
+    orientation: list[float]
+    """Turns the robot's axes, X ahead and Z up, to the frame's: unit quaternion `x, y, z, w`."""
+    path: list[list[float]]
+    """The corners of the way, in the frame's units."""
+
+
+@dataclass
+class PosesInFrame:
+    """Places to stand in other coordinates than the scene's."""
+    frame: FrameChoice
+    """`source` or `map`."""
+    stamp: Stamp
+    """When this was told; with `frame_id` the header of a ROS message."""
+    scene_to_frame: SceneToFrame
+    """From the scene's coordinates to these: for everything else that is told."""
+    poses: list[PlacedPose]
+    """One for each of `poses`, in their order."""
+    frame_id: Optional[str] = None
+    """What the map's frame is called, the scene's `map_frame_id`; `null` where nobody has said."""
+
+
+@dataclass
 class Problem:
     """An error. `code` is stable; `detail` is for people and names the file, frame or field."""
     type: str
@@ -1285,6 +1490,20 @@ class RgbdSettings(TypedDict, total=False):
     """Every `stride`-th pixel of the depth image is looked at."""
 
 
+class RobotOptions(TypedDict, total=False):
+    """What `Robot` may have besides."""
+    reach_m: Optional[float]
+    """How far its arm reaches out of the cylinder, metres. Left out, it only has to see the thing."""
+class Robot(RobotOptions):
+    """A robot as an upright cylinder on the floor."""
+    radius_m: float
+    """Of the circle around its footprint, metres."""
+    height_m: float
+    """What is higher above the floor than this it passes under, metres."""
+    eye_height_m: float
+    """Where it sees from: above the middle of its footprint, metres above the floor, at most `height_m`."""
+
+
 class SamSettings(TypedDict, total=False):
     """Masks of a promptable segmentation model, asked at points of each picture."""
     cache_mb: int
@@ -1367,6 +1586,21 @@ class SceneCounts:
     """Small even patches the cloud was cut into before merging."""
     instances: int
     """Instances found, floor, walls and ceiling included."""
+
+
+@dataclass
+class SceneGraph:
+    """A scene graph: things, parts, wholes, the building and zones, and relations between them. Metres, world frame (Z up)."""
+    scene_id: str
+    """UUIDv7 of the scene."""
+    parse_version: int
+    """Number of the scene's parse, from 1; instance ids belong to it."""
+    frame: CoordinateFrame
+    """The frame of all coordinates."""
+    nodes: list[GraphNode]
+    """In order of instance id, then zones."""
+    edges: list[GraphEdge]
+    """In order of their nodes. What goes without saying is left out: a symmetric relation stands once, and no relation has its inverse."""
 
 
 @dataclass
@@ -1513,6 +1747,55 @@ class StageReport:
 
 
 @dataclass
+class Stamp:
+    """A moment, as `builtin_interfaces/Time` has it."""
+    sec: int
+    """Seconds since 1970, UTC."""
+    nanosec: int
+    """Nanoseconds on top."""
+
+
+@dataclass
+class StandingPose:
+    """A place to stand, facing the thing. World frame (Z up), metres."""
+    position: list[float]
+    """Middle of the robot's footprint, on the floor."""
+    yaw_rad: float
+    """Direction it faces about +Z, radians; 0 looks along +X."""
+    look_at: list[float]
+    """What to look at: the middle of what is in sight of the thing."""
+    distance_m: float
+    """Horizontal distance to the thing's nearest point."""
+    reach_m: float
+    """From the robot's cylinder to the thing's nearest point: what the arm has to reach."""
+    visible_share: float
+    """Share of the thing's points that nothing else hides from the eye, `0..=1`; what it hides of itself counts as seen."""
+    path: list[list[float]]
+    """From the start to here, corner by corner, straight in between; free of obstacles by the robot's radius, to within half a cell of the
+    grid. Empty without `from`.
+    """
+    why: str
+    """Why here, in words."""
+    clearance_m: Optional[float] = None
+    """From the middle of the robot to the nearest obstacle; never less than the robot's radius. `null` where there is none at all."""
+    path_m: Optional[float] = None
+    """Length of `path`; `null` without `from`."""
+
+
+@dataclass
+class Start:
+    """Where the robot sets out."""
+    x: float
+    """Where paths begin, metres, world frame: the nearest free cell to what was asked for."""
+    y: float
+    """Metres along Y."""
+    moved_m: float
+    """How far that is from what was asked for, metres; more than a cell where `from` was not free."""
+    was_free: bool
+    """Whether the robot can stand where it says it is."""
+
+
+@dataclass
 class Stats:
     """A server in numbers."""
     version: str
@@ -1589,6 +1872,8 @@ class Target:
     """Axis-aligned box, stray points left out; metres, world frame (Z up)."""
     oriented_box: OrientedBox
     """Box turned about the vertical to fit it; metres, world frame (Z up)."""
+    parent: Optional[InstanceId] = None
+    support: Optional[Support] = None
 
 
 @dataclass

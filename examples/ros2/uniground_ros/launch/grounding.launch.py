@@ -9,11 +9,16 @@ from launch_ros.parameter_descriptions import ParameterValue
 ARGUMENTS = {
     "scene_id": ("", "A parsed scene of the server"),
     "server": ("http://127.0.0.1:8080", "Its address; the key is read from UNIGROUND_API_KEY"),
+    "robot_radius_m": ("0.0", "The robot as a cylinder, metres; 0: goals do not look at walls and furniture"),
+    "robot_height_m": ("0.0", ""),
+    "eye_height_m": ("0.0", "Where it sees from, above the floor"),
+    "reach_m": ("0.0", "How far its arm reaches out of the cylinder; 0: it only has to see the thing"),
     "x": ("0", "Where the scan's origin lies in the map, metres"),
     "y": ("0", ""),
     "z": ("0", ""),
     "yaw": ("0", "How the scan is turned in the map, radians"),
 }
+ROBOT = ("robot_radius_m", "robot_height_m", "eye_height_m", "reach_m")
 
 
 def generate_launch_description():
@@ -33,7 +38,10 @@ def generate_launch_description():
                 name="uniground",
                 output="screen",
                 # As words, whatever they look like: launch would read some ids as numbers.
-                parameters=[{name: ParameterValue(given[name], value_type=str) for name in ("scene_id", "server")}],
+                parameters=[
+                    {name: ParameterValue(given[name], value_type=str) for name in ("scene_id", "server")},
+                    {name: ParameterValue(given[name], value_type=float) for name in ROBOT},
+                ],
             ),
         ]
     )

@@ -1,6 +1,6 @@
 """Answers as messages: plain functions, no node and no middleware.
 
-Boxes of answers are in the scan's world: metres, Z up, centre and full size, turned about the vertical. Messages are in the map's frame;
+Boxes of answers and places to stand are in the scan's world: metres, Z up, turned about the vertical. Messages are in the map's frame;
 `Placed` says how the one lies in the other.
 """
 
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from geometry_msgs.msg import Pose, PoseStamped
+from nav_msgs.msg import Path
 from vision_msgs.msg import Detection3D, Detection3DArray, ObjectHypothesisWithPose
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -32,13 +33,12 @@ class Placed:
     def of(cls, stamped) -> Placed:
         """Of a `geometry_msgs/TransformStamped`."""
         q, t = stamped.transform.rotation, stamped.transform.translation
-        x, y, z, w = np.array([q.x, q.y, q.z, q.w]) / math.hypot(q.x, q.y, q.z, q.w)
-        rotation = [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-        return cls(np.array(rotation), np.array([t.x, t.y, t.z]))
+        return cls(rotation_of([q.x, q.y, q.z, q.w]), np.array([t.x, t.y, t.z]))
+
+    @classmethod
+    def told(cls, scene_to_frame: models.SceneToFrame) -> Placed:
+        """As the service tells it; maps are in metres, so nothing is scaled."""
+        return cls(rotation_of(scene_to_frame.rotation), np.array(scene_to_frame.translation))
 
     @property
     def yaw_rad(self) -> float:
@@ -100,6 +100,20 @@ def markers(answer: models.Answer, scan: Placed, header) -> MarkerArray:
     return array
 
 
+def stand(pose: models.StandingPose, scan: Placed, header) -> PoseStamped:
+    """A place to stand that the service has found."""
+    return PoseStamped(header=header, pose=upright(pose.position, pose.yaw_rad, scan))
+
+
+def path(pose: models.StandingPose, scan: Placed, header) -> Path:
+    """The way there, corner by corner, each facing the next."""
+    z = pose.position[2]
+    legs = zip(pose.path, pose.path[1:])
+    poses = [upright([x, y, z], math.atan2(to_y - y, to_x - x), scan) for (x, y), (to_x, to_y) in legs]
+    poses.append(upright(pose.position, pose.yaw_rad, scan))
+    return Path(header=header, poses=[PoseStamped(header=header, pose=one) for one in poses])
+
+
 def goal(box, around, scan: Placed, robot: Placed, standoff_m: float, header) -> PoseStamped:
     """Where to stand: on the line from the thing to the robot, `standoff_m` off the thing and what it stands on, facing it.
 
@@ -139,10 +153,27 @@ def way_out(box, start: np.ndarray, direction: np.ndarray) -> float:
 
 def box_pose(box, scan: Placed) -> Pose:
     """The box's centre and axes, in the map's frame."""
+    return upright(box.center, getattr(box, "yaw_rad", 0.0), scan)
+
+
+def upright(point, yaw_rad: float, scan: Placed) -> Pose:
+    """What stands upright in the scan's world, in the map's frame."""
     pose = Pose()
-    pose.position.x, pose.position.y, pose.position.z = map(float, scan.place(box.center))
-    set_orientation(pose, scan.rotation @ box.rotation())
+    pose.position.x, pose.position.y, pose.position.z = map(float, scan.place(point))
+    c, s = math.cos(yaw_rad), math.sin(yaw_rad)
+    set_orientation(pose, scan.rotation @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]))
     return pose
+
+
+def rotation_of(quaternion) -> np.ndarray:
+    """A quaternion x, y, z, w as a matrix."""
+    x, y, z, w = np.asarray(quaternion) / np.linalg.norm(quaternion)
+    rotation = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.array(rotation)
 
 
 def turn(pose: Pose, yaw_rad: float) -> None:
@@ -160,5 +191,6 @@ def set_orientation(pose: Pose, rotation: np.ndarray) -> None:
         [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], squares[3]],
     ]
     q = np.array(rows[int(squares.argmax())])
-    q = q / np.linalg.norm(q)
+    # Of the two that turn alike the one with a positive w, as the service tells them.
+    q = math.copysign(1.0, q[3]) * q / np.linalg.norm(q)
     pose.orientation.x, pose.orientation.y, pose.orientation.z, pose.orientation.w = map(float, q)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from typing import NamedTuple
 
 import rclpy
 from geometry_msgs.msg import PoseStamped
+from nav_msgs.msg import Path
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.executors import MultiThreadedExecutor
 from rclpy.node import Node
@@ -28,8 +30,21 @@ MOST_SUPPORTS = 5
 FLAT_M = 0.15
 
 
+class Frames(NamedTuple):
+    """Whose coordinates a question and its answer are in."""
+
+    choice: models.FrameChoice
+    """What the service calls the coordinates that it is asked in."""
+    asked_in: str
+    """What tf2 calls them."""
+    told_in: str
+    """The frame of messages, as tf2 calls it."""
+    scan: Placed | None
+    """How the scan lies in that frame; `None` where each answer tells."""
+
+
 class Grounding(Node):
-    """Service `~/ground` and topic `~/question` in; `~/detections`, `~/markers`, `~/goal` and `~/answer` out.
+    """Service `~/ground` and topic `~/question` in; `~/detections`, `~/markers`, `~/goal`, `~/path` and `~/answer` out.
 
     Address and key come from `UNIGROUND_SERVER` and `UNIGROUND_API_KEY`; the key is no parameter, since everybody may read those.
     """
@@ -42,13 +57,17 @@ class Grounding(Node):
             "map_frame": "map",
             "scan_frame": "scan",
             "robot_frame": "base_link",
+            # The robot as a cylinder: with it the service finds the goal. Without a radius the node does, and does not know the room.
+            "robot_radius_m": 0.0,
+            "robot_height_m": 0.0,
+            "eye_height_m": 0.0,
+            "reach_m": 0.0,
             "standoff_m": 0.6,
             "min_confidence": 0.5,
             "timeout_s": 10.0,
         }.items():
             self.declare_parameter(name, default)
         self.client = Client(self.value("server") or None)
-        self.scene: Scene | None = None
         self.transforms = Buffer()
         self.listener = TransformListener(self.transforms, self)
 
@@ -59,6 +78,7 @@ class Grounding(Node):
         self.answers = self.create_publisher(String, "~/answer", kept)
         # A goal that is kept would be driven to again.
         self.goals = self.create_publisher(PoseStamped, "~/goal", 1)
+        self.paths = self.create_publisher(Path, "~/path", 1)
         # Questions may take seconds; transforms must come in meanwhile.
         group = ReentrantCallbackGroup()
         self.create_service(Ground, "~/ground", self.on_request, callback_group=group)
@@ -79,17 +99,27 @@ class Grounding(Node):
         except TransformException as error:
             response.status, response.explanation = "no_transform", str(error)
         self.get_logger().info(f"{request.query}: {response.status}. {response.explanation}")
+        if response.goal_reason and not response.has_goal:
+            self.get_logger().warning(f"no goal: {response.goal_reason}")
         return response
 
     def answer(self, request: Ground.Request, response: Ground.Response) -> None:
-        scan = self.placed(self.value("map_frame"), self.value("scan_frame"))
-        options: models.GroundOptions = {"min_confidence": self.value("min_confidence"), "timeout_s": self.value("timeout_s")}
+        # Asked for each question: somebody may have said anew where the scene lies.
+        scene = self.parsed_scene()
+        frames = self.frames(scene)
+        options: models.GroundOptions = {
+            "frame": frames.choice,
+            "min_confidence": self.value("min_confidence"),
+            "timeout_s": self.value("timeout_s"),
+        }
         if request.as_seen_by_robot:
-            robot = self.placed(self.value("scan_frame"), self.value("robot_frame"))
+            robot = self.placed(frames.asked_in, self.value("robot_frame"))
             options["observer"] = {"position": robot.translation.tolist(), "yaw_rad": robot.yaw_rad}
-        answer = self.parsed_scene().ask(request.query, **options)
+        answer = scene.ask(request.query, **options)
+        scan = Placed.told(answer.in_frame.scene_to_frame) if answer.in_frame else frames.scan
 
-        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=self.value("map_frame"))
+        # By the robot's own clock, which may be a simulation's; `in_frame.stamp` is the server's.
+        header = Header(stamp=self.get_clock().now().to_msg(), frame_id=frames.told_in)
         response.status, response.explanation = answer.status, answer.answer.explanation
         response.answer_json = json.dumps(dataclasses.asdict(answer))
         response.detections = convert.detections(answer, scan, header)
@@ -97,43 +127,75 @@ class Grounding(Node):
         self.markers.publish(convert.markers(answer, scan, header))
         self.answers.publish(String(data=response.answer_json))
         # A guess, several things or none: ask the person back, drive nowhere.
-        if answer.status == "grounded" and len(answer.targets) == 1:
-            self.tell_goal(answer, scan, header, response)
-
-    def tell_goal(self, answer: models.Answer, scan: Placed, header: Header, response: Ground.Response) -> None:
-        try:
-            robot = self.placed(self.value("map_frame"), self.value("robot_frame"))
-        except TransformException as error:
-            self.get_logger().warning(f"no goal: {error}")
+        if answer.status != "grounded":
             return
-        target = answer.targets[0]
-        around = self.supports(target.id)
-        response.goal = convert.goal(target.oriented_box, around, scan, robot, self.value("standoff_m"), header)
+        if len(answer.targets) > 1:
+            response.goal_reason = f"{len(answer.targets)} things are meant"
+            return
+        try:
+            self.tell_goal(scene, answer.targets[0], frames, scan, header, response)
+        except (TransformException, UnigroundError) as error:
+            # The answer holds all the same.
+            response.goal_reason = str(error)
+
+    def tell_goal(
+        self, scene: Scene, target: models.Target, frames: Frames, scan: Placed, header: Header, response: Ground.Response
+    ) -> None:
+        if not self.value("robot_radius_m"):
+            here = self.placed(frames.told_in, self.value("robot_frame"))
+            around = supports(scene, target.id)
+            response.goal = convert.goal(target.oriented_box, around, scan, here, self.value("standoff_m"), header)
+            response.goal_reason = "on the straight line to the robot: walls and furniture are not looked at, robot_radius_m is not set"
+        else:
+            here = self.placed(frames.asked_in, self.value("robot_frame"))
+            found = scene.approach(self.robot(), instance_id=target.id, start=here.translation, frame=frames.choice, max_poses=1)
+            response.goal_reason = found.detail
+            if found.status != "found":
+                return
+            response.goal = convert.stand(found.poses[0], scan, header)
+            self.paths.publish(convert.path(found.poses[0], scan, header))
         response.has_goal = True
         self.goals.publish(response.goal)
 
-    def supports(self, instance_id: int) -> list[models.OrientedBox]:
-        """Boxes of what carries a thing and stands in the way, downwards."""
-        boxes: list[models.OrientedBox] = []
-        thing = self.parsed_scene().instance(instance_id)
-        for _ in range(MOST_SUPPORTS):
-            if thing.support.on != "instance" or thing.support.id is None:
-                break
-            thing = self.parsed_scene().instance(thing.support.id)
-            if thing.height_above_floor_m + thing.box.size[2] > FLAT_M:
-                boxes.append(thing.oriented_box)
-        return boxes
+    def robot(self) -> models.Robot:
+        """As the service wants it; it says what is missing."""
+        robot: models.Robot = {
+            "radius_m": self.value("robot_radius_m"),
+            "height_m": self.value("robot_height_m"),
+            "eye_height_m": self.value("eye_height_m"),
+        }
+        if self.value("reach_m"):
+            robot["reach_m"] = self.value("reach_m")
+        return robot
+
+    def frames(self, scene: Scene) -> Frames:
+        """The map's, where the service knows how the scene lies in it; else the scan's, which tf2 must know in the map."""
+        if scene.info.scene_to_map and scene.info.map_frame_id:
+            return Frames("map", scene.info.map_frame_id, scene.info.map_frame_id, None)
+        map_frame, scan_frame = self.value("map_frame"), self.value("scan_frame")
+        return Frames("scene", scan_frame, map_frame, self.placed(map_frame, scan_frame))
 
     def parsed_scene(self) -> Scene:
-        if self.scene is None:
-            if not self.value("scene_id"):
-                raise UnigroundError("scene_not_found", "the parameter scene_id is not set")
-            self.scene = self.client.scene(self.value("scene_id"))
-        return self.scene
+        if not self.value("scene_id"):
+            raise UnigroundError("scene_not_found", "the parameter scene_id is not set")
+        return self.client.scene(self.value("scene_id"))
 
     def placed(self, frame: str, of: str) -> Placed:
         """How a frame lies in another, as tf2 knows it now."""
         return Placed.of(self.transforms.lookup_transform(frame, of, Time()))
+
+
+def supports(scene: Scene, instance_id: int) -> list[models.OrientedBox]:
+    """Boxes of what carries a thing and stands in the way, downwards."""
+    boxes: list[models.OrientedBox] = []
+    thing = scene.instance(instance_id)
+    for _ in range(MOST_SUPPORTS):
+        if thing.support.on != "instance" or thing.support.id is None:
+            break
+        thing = scene.instance(thing.support.id)
+        if thing.height_above_floor_m + thing.box.size[2] > FLAT_M:
+            boxes.append(thing.oriented_box)
+    return boxes
 
 
 def main() -> None:
