@@ -286,7 +286,7 @@ fn wrong_usage_is_told_before_anything_runs() {
     for (args, expected) in [
         (&["--matrix", "reasoner=vlm"][..], "no vision-language model is configured"),
         (&["--matrix", "encoder=no-such-bundle"], "no-such-bundle/model.json"),
-        (&["--server", "http://127.0.0.1:1"], "the server at http://127.0.0.1:1"),
+        (&["--server", "http://127.0.0.1:1"], "no server answers at http://127.0.0.1:1"),
         (&["--baseline", "no-such.json"], "no-such.json"),
     ] {
         let output = eval(&out, args);
