@@ -69,7 +69,9 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     let parsing = background::pool().context("threads for parses")?;
     let inference = config.models.bundles.inference_url.as_deref().filter(|_| !models.loaded.is_empty());
     let inference = inference.map(Probe::new).transpose().context("a client for the inference server")?;
-    let service = Service::new(store.clone(), jobs.clone(), keys, config.limits.service_limits(), vlm, models, parsing).watching(inference);
+    let service = Service::new(store.clone(), jobs.clone(), keys, config.limits.service_limits(), vlm, models, parsing)
+        .watching(inference)
+        .importing_from(config.access.import_root.clone());
     let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
 

@@ -75,6 +75,9 @@ pub struct AccessConfig {
     /// Origin whose pages may use this server from a browser, like <https://robots.example>; may be given several times, or with commas
     #[arg(long = "cors-origin", env = "UNIGROUND_CORS_ORIGINS", value_name = "ORIGIN", value_delimiter = ',')]
     pub cors_origins: Vec<String>,
+    /// Folder of this machine whose scans may be imported without being uploaded (POST /v1/scenes/import)
+    #[arg(long, env = "UNIGROUND_IMPORT_ROOT", value_name = "DIR")]
+    pub import_root: Option<Utf8PathBuf>,
     /// File that holds what links without a key are signed with (or the secret itself in UNIGROUND_LINK_SECRET); default: a new one at each start
     #[arg(long, env = "UNIGROUND_LINK_SECRET_FILE", value_name = "FILE")]
     pub link_secret_file: Option<Utf8PathBuf>,

@@ -96,6 +96,10 @@ pub enum Error {
     ParseDamaged { parse_id: String, what: String },
     #[error("this Idempotency-Key came with another request before: use a new key for a new one")]
     IdempotencyKeyReused,
+    #[error("this server imports nothing from its own disk: its operator names a folder with --import-root")]
+    ImportNotAllowed,
+    #[error("there is no {path:?} below the folder that is imported from")]
+    ImportNotFound { path: String },
     #[error("too many {what} at once: {most} are served")]
     TooMany { what: &'static str, most: usize },
     #[error("{what}")]
@@ -281,6 +285,8 @@ impl Error {
             Self::QuestionTimedOut { .. } => "question_timed_out",
             Self::ParseDamaged { .. } => "parse_damaged",
             Self::IdempotencyKeyReused => "idempotency_key_reused",
+            Self::ImportNotAllowed => "import_not_allowed",
+            Self::ImportNotFound { .. } => "import_not_found",
             Self::Overloaded | Self::TooMany { .. } => "overloaded",
             Self::UploadTooSlow { .. } => "upload_too_slow",
             Self::UploadTooLarge { .. } => "upload_too_large",

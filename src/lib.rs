@@ -10,6 +10,7 @@ pub mod inference;
 pub mod jobs;
 pub mod metrics;
 pub mod packages;
+pub mod packing;
 pub mod sample;
 pub mod service;
 pub mod store;

@@ -1,10 +1,11 @@
 //! A scan on the disk as the bytes that are uploaded: a file as it is where a service knows it by its bytes, everything else packed.
 
 use super::hints;
+use crate::packing::{Links, pack};
 use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use sha2::{Digest, Sha256};
-use std::fs::{self, File};
+use std::fs::File;
 use std::io::{self, Read, Seek, Write};
 use uniground_core::ingest::archive::ArchiveKind;
 use uniground_core::ingest::{Packed, Unpacked};
@@ -21,9 +22,6 @@ enum Source {
     /// Everything else, as a folder: clouds too, whose names tell what their bytes do not.
     Folder(Unpacked),
 }
-
-/// Folders within folders that are looked into: one that is linked to itself has an end.
-const DEEPEST: usize = 16;
 
 impl ScanFile {
     /// # Errors
@@ -46,7 +44,7 @@ impl ScanFile {
         let mut hashing = Hashing(Sha256::new());
         match &self.source {
             Source::File(path) => io::copy(&mut File::open(path)?, &mut hashing).map(drop)?,
-            Source::Folder(folder) => pack(&folder.path, &mut hashing)?,
+            Source::Folder(folder) => pack(&folder.path, Links::All, &mut hashing)?,
         }
         Ok(hashing.0.finalize().iter().map(|byte| format!("{byte:02x}")).collect())
     }
@@ -60,7 +58,7 @@ impl ScanFile {
             Source::File(path) => File::open(path).with_context(|| path.to_string())?,
             Source::Folder(folder) => {
                 let mut file = tempfile::tempfile()?;
-                pack(&folder.path, &mut file)?;
+                pack(&folder.path, Links::All, &mut file)?;
                 file.rewind()?;
                 file
             }
@@ -89,42 +87,6 @@ fn is_known_by_its_bytes(scan: &Utf8Path) -> io::Result<bool> {
     Ok(matches!(packed, Some(Packed::Archive(_) | Packed::Sens)) || ArchiveKind::of_file_name(scan.as_str()).is_some())
 }
 
-/// A tar of all files that are not hidden. Sorted, and without times: the same folder is the same archive.
-fn pack(folder: &Utf8Path, to: &mut impl Write) -> anyhow::Result<()> {
-    let mut files = Vec::new();
-    collect(folder, DEEPEST, &mut files)?;
-    ensure!(!files.is_empty(), "{folder}: there is nothing in it");
-    files.sort();
-    let mut archive = tar::Builder::new(to);
-    for path in files {
-        let file = File::open(&path).with_context(|| path.to_string())?;
-        let mut header = tar::Header::new_gnu();
-        header.set_size(file.metadata()?.len());
-        header.set_mode(0o644);
-        let name = path.strip_prefix(folder).unwrap_or(&path);
-        archive.append_data(&mut header, name, file).with_context(|| path.to_string())?;
-    }
-    archive.finish()?;
-    Ok(())
-}
-
-fn collect(folder: &Utf8Path, deeper: usize, files: &mut Vec<Utf8PathBuf>) -> anyhow::Result<()> {
-    for entry in folder.read_dir_utf8().with_context(|| folder.to_string())? {
-        let path = entry?.into_path();
-        // Hidden files are the file manager's and git's.
-        if path.file_name().is_some_and(|name| name.starts_with('.')) {
-            continue;
-        }
-        match fs::metadata(&path) {
-            Ok(metadata) if metadata.is_file() => files.push(path),
-            Ok(metadata) if metadata.is_dir() && deeper > 0 => collect(&path, deeper - 1, files)?,
-            // A link to nowhere, a socket: no part of a scan.
-            _ => {}
-        }
-    }
-    Ok(())
-}
-
 struct Hashing(Sha256);
 
 impl Write for Hashing {
@@ -147,29 +109,5 @@ mod tests {
         assert_eq!(name_of("scans/living_room.zip".into()), "living_room");
         assert_eq!(name_of("hall.tar.zst".into()), "hall");
         assert_eq!(name_of("src/cli".into()), "cli");
-    }
-
-    #[test]
-    fn a_folder_is_the_same_archive_whenever_it_is_packed() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = Utf8Path::from_path(folder.path()).unwrap();
-        fs::create_dir(path.join("color")).unwrap();
-        for name in ["color/1.jpg", "color/0.jpg", "cloud.ply", ".DS_Store"] {
-            fs::write(path.join(name), name).unwrap();
-        }
-        let packed = || {
-            let mut bytes = Vec::new();
-            pack(path, &mut bytes).unwrap();
-            bytes
-        };
-        let before = packed();
-        fs::write(path.join("color/0.jpg"), "color/0.jpg").unwrap();
-        assert_eq!(packed(), before);
-        let names: Vec<String> = tar::Archive::new(&before[..])
-            .entries()
-            .unwrap()
-            .map(|entry| entry.unwrap().path().unwrap().to_str().unwrap().to_owned())
-            .collect();
-        assert_eq!(names, ["cloud.ply", "color/0.jpg", "color/1.jpg"]);
     }
 }

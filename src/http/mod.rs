@@ -101,6 +101,7 @@ fn routes() -> OpenApiRouter<App> {
     OpenApiRouter::with_openapi(Description::openapi())
         .routes(routes!(scenes::create, scenes::list))
         .routes(routes!(scenes::create_sample))
+        .routes(routes!(scenes::import))
         .routes(routes!(scenes::get, scenes::change, scenes::delete))
         .routes(routes!(scenes::parse))
         .routes(routes!(scenes::name))

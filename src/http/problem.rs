@@ -139,6 +139,7 @@ fn status_of(error: &Error) -> StatusCode {
             JobsError::Store(_) => StatusCode::INTERNAL_SERVER_ERROR,
         },
         Error::SceneNotFound { .. }
+        | Error::ImportNotFound { .. }
         | Error::InstanceNotFound { .. }
         | Error::ViewNotFound { .. }
         | Error::ReportPictureNotFound { .. }
@@ -163,7 +164,7 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::TooManyCorrections { .. } => StatusCode::CONFLICT,
         Error::VlmFailed { .. } | Error::Model(_) => StatusCode::BAD_GATEWAY,
         Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
-        Error::TooManyScenes { .. } | Error::KeyRefused => StatusCode::FORBIDDEN,
+        Error::TooManyScenes { .. } | Error::KeyRefused | Error::ImportNotAllowed => StatusCode::FORBIDDEN,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
         Error::DiskNearlyFull { .. } => StatusCode::INSUFFICIENT_STORAGE,
         Error::Overloaded | Error::TooMany { .. } => StatusCode::TOO_MANY_REQUESTS,

@@ -23,7 +23,7 @@ use tokio::time::timeout;
 use uniground_core::models::with_causes;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::problem::Problem;
-use uniground_types::scenes::{Created, ParseRequest, Scene, SceneChange, SceneList};
+use uniground_types::scenes::{Created, ImportRequest, ParseRequest, Scene, SceneChange, SceneList};
 use uniground_types::settings::{ParsePreset, ParseSettings};
 use utoipa::IntoParams;
 
@@ -95,6 +95,37 @@ pub async fn create(
         }
         None => app.service.create_scene(new, body, &caller).await?,
     };
+    Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
+}
+
+/// Makes a scene of a scan that lies on the server's own disk, below the folder its operator named (`--import-root`).
+///
+/// As an upload of the same file; a folder is packed first, and nothing that a link brings in from elsewhere goes with it.
+#[utoipa::path(
+    post, path = "/v1/scenes/import", operation_id = "import_scene", tag = "scenes", request_body = ImportRequest,
+    params(("Idempotency-Key" = Option<String>, Header, description = "The same key again returns the scene it made")),
+    responses(
+        (status = 202, body = Created),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+        (status = 507, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["write"]), ())
+)]
+pub async fn import(
+    State(app): State<App>,
+    Extension(caller): Asking,
+    headers: HeaderMap,
+    Json(request): Json<ImportRequest>,
+) -> Result<(StatusCode, axum::Json<Created>), Refused> {
+    let key = headers.get("idempotency-key").and_then(|key| key.to_str().ok()).map(str::to_owned);
+    let (scene, job) = app.service.import_scene(request, key, &caller).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 

@@ -41,6 +41,7 @@ use crate::metrics::Metrics;
 use crate::store::Store;
 use answers::BeingAnswered;
 use batches::Beginnings;
+use camino::Utf8PathBuf;
 use lately::Lately;
 use parses::ParseCache;
 use rayon::ThreadPool;
@@ -99,6 +100,8 @@ pub struct Service {
     correcting: Arc<Mutex<()>>,
     /// Held while something is drawn or made for who looks at a scene: questions have their own places.
     drawing: Arc<Mutex<()>>,
+    /// Scans below it may be imported; `None`: nothing may.
+    import_root: Option<Utf8PathBuf>,
     /// Where an inference server runs the networks.
     inference: Option<Arc<Probe>>,
     health: Lately<Health>,
@@ -134,6 +137,7 @@ impl Service {
             parse_references: Arc::default(),
             correcting: Arc::default(),
             drawing: Arc::default(),
+            import_root: None,
             inference: None,
             health: Lately::default(),
             numbers: Numbers::default(),

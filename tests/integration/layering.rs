@@ -21,7 +21,7 @@ const PACKAGES: [(&str, Floors); 3] = [
             &["error"],
             &["jobs"],
             &["store"],
-            &["chat", "inference", "metrics", "packages", "sample", "webhook", "words"],
+            &["chat", "inference", "metrics", "packages", "packing", "sample", "webhook", "words"],
             &["trace_context"],
         ],
     ),

@@ -19,6 +19,7 @@ mod evaluation;
 mod export;
 mod graph;
 mod hurry;
+mod imports;
 mod keeping;
 mod keys;
 mod language;

@@ -5,8 +5,17 @@ use reqwest::Method;
 use uniground_types::approach::{Approach, ApproachRequest, FloorMap};
 use uniground_types::graph::SceneGraph;
 use uniground_types::instances::Levels;
+use uniground_types::scenes::{Created, ImportRequest};
 
 impl Client {
+    /// Makes a scene of a scan on the server's own disk.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn import_scene(&self, request: &ImportRequest) -> Result<Created, ClientError> {
+        json(self.request(Method::POST, "v1/scenes/import").json(request)).await
+    }
+
     /// Where a robot can stand to see or reach a thing.
     ///
     /// # Errors

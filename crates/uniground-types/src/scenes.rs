@@ -1,6 +1,7 @@
 //! Scans and their parses, as callers see them.
 
 use crate::geometry::boxes::Aabb;
+use crate::geometry::up_axis::UpAxis;
 use crate::job::{Job, JobError};
 use crate::placement::SceneToMap;
 use crate::scene::{ImportReport, ParseReport};
@@ -120,6 +121,42 @@ pub struct SceneChange {
 /// What a field says, `null` too: a field that is left out says nothing.
 fn said<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Option<T>, D::Error> {
     T::deserialize(deserializer).map(Some)
+}
+
+/// A scan on the server's own disk.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ImportRequest {
+    /// A file or folder below the one that the server's operator named, relative to it: whatever can be uploaded, a folder unpacked.
+    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 4096, example = "monday/kitchen"))]
+    pub path: String,
+    /// Name of the scene; default: what the archive calls itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 200))]
+    pub name: Option<String>,
+    /// `false` only stores the scan.
+    #[serde(default = "yes")]
+    #[cfg_attr(feature = "openapi", schema(default = true))]
+    pub parse: bool,
+    /// The axis that points up in the files, for scans that do not say; default: the axis the cameras hold up.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub up: Option<UpAxis>,
+    /// Settings to parse with.
+    #[serde(default)]
+    pub preset: ParsePreset,
+}
+
+fn yes() -> bool {
+    true
+}
+
+impl ImportRequest {
+    /// Of a file or folder, to be parsed at once with the default settings.
+    #[must_use]
+    pub fn of(path: impl Into<String>) -> Self {
+        Self { path: path.into(), name: None, parse: true, up: None, preset: ParsePreset::default() }
+    }
 }
 
 /// How to parse. An empty object parses with the default settings.

@@ -1,6 +1,7 @@
 //! Scenes as the outside sees them.
 
 mod export;
+mod importing;
 mod uploads;
 
 pub use export::ExportFile;

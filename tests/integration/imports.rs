@@ -1,0 +1,77 @@
+//! Scans on the server's own disk.
+
+use crate::archives::Scan;
+use crate::server::{Process, TestServer, command, finished, post_raw, problem};
+use camino::Utf8Path;
+use std::fs;
+use std::os::unix::fs::symlink;
+use uniground_types::job::JobState;
+use uniground_types::scenes::{ImportRequest, SceneStatus};
+
+/// A folder with `scans/room.zip`, the same unpacked as `scans/room/`, and a scan outside of `scans`.
+fn disk() -> tempfile::TempDir {
+    let disk = tempfile::tempdir().unwrap();
+    let root = Utf8Path::from_path(disk.path()).unwrap();
+    let zip = Scan::neutral().zip();
+    for place in ["scans/room.zip", "room.zip"] {
+        fs::create_dir_all(root.join(place).parent().unwrap()).unwrap();
+        fs::write(root.join(place), &zip).unwrap();
+    }
+    let mut archive = zip::ZipArchive::new(std::io::Cursor::new(zip)).unwrap();
+    archive.extract(root.join("scans/room")).unwrap();
+    fs::create_dir(root.join("scans/nothing")).unwrap();
+    symlink(root.join("room.zip"), root.join("scans/link.zip")).unwrap();
+    symlink("room.zip", root.join("scans/again.zip")).unwrap();
+    disk
+}
+
+#[tokio::test]
+async fn what_lies_on_the_servers_disk_needs_no_upload() {
+    let (data, disk) = (tempfile::tempdir().unwrap(), disk());
+    let root = Utf8Path::from_path(disk.path()).unwrap().join("scans");
+    let mut command = command(Utf8Path::from_path(data.path()).unwrap(), "127.0.0.1:0");
+    let process = Process::started(command.arg("--import-root").arg(&root));
+    let client = &process.client;
+    let first = client.import_scene(&ImportRequest::of("room.zip")).await.unwrap();
+    assert_eq!(finished(client, &first.job.unwrap().id).await.state, JobState::Succeeded);
+    // A link that stays below the folder is as good; the same bytes are parsed once.
+    let again = client
+        .import_scene(&ImportRequest { name: Some("again".into()), ..ImportRequest::of("again.zip") })
+        .await
+        .unwrap();
+    assert_eq!((again.scene.content_hash.as_str(), again.scene.name.as_str()), (first.scene.content_hash.as_str(), "again"));
+    let folder = client.import_scene(&ImportRequest::of("room")).await.unwrap();
+    assert_eq!(finished(client, &folder.job.unwrap().id).await.state, JobState::Succeeded);
+    let [zipped, unpacked] = [first.scene.id, folder.scene.id];
+    let (zipped, unpacked) = (client.scene(&zipped).await.unwrap(), client.scene(&unpacked).await.unwrap());
+    assert_eq!((unpacked.status, &unpacked.counts), (SceneStatus::Ready, &zipped.counts));
+    let stored = client
+        .import_scene(&ImportRequest { parse: false, ..ImportRequest::of("./room/../room.zip") })
+        .await
+        .unwrap();
+    assert!(stored.job.is_none());
+
+    let (outside, absolute) = ("../room.zip", root.join("room.zip"));
+    for path in [outside, "link.zip", "no such", "/etc/passwd", "room.zip/x", "a\0b", ""] {
+        let refused = problem(client.import_scene(&ImportRequest::of(path)).await);
+        let expected = if path.is_empty() { (422, "invalid_request") } else { (404, "import_not_found") };
+        assert_eq!((refused.status, refused.code.as_str()), expected, "{path:?}: {refused:?}");
+        assert!(!refused.detail.contains(disk.path().to_str().unwrap()), "{}", refused.detail);
+    }
+    // Below the folder it is, however it is said.
+    assert!(client.import_scene(&ImportRequest::of(absolute)).await.is_ok());
+    let refused = problem(client.import_scene(&ImportRequest::of("nothing")).await);
+    assert_eq!((refused.status, refused.errors[0].pointer.as_str()), (422, "/path"), "{refused:?}");
+    assert!(!refused.detail.contains(disk.path().to_str().unwrap()), "{}", refused.detail);
+    let refused = post_raw(client, "v1/scenes/import", "application/json", r#"{"file": "room.zip"}"#).await;
+    assert_eq!((refused.status, refused.code.as_str()), (422, "invalid_request"));
+    assert_eq!(process.terminate(), Some(0));
+}
+
+#[tokio::test]
+async fn without_a_folder_nothing_is_imported() {
+    let server = TestServer::start().await;
+    let refused = problem(server.client.import_scene(&ImportRequest::of("etc/passwd")).await);
+    assert_eq!((refused.status, refused.code.as_str()), (403, "import_not_allowed"));
+    server.stop().await;
+}
