@@ -65,18 +65,18 @@ pub struct GroundArgs {
 /// Somebody who stands in the room, as the command line has it.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Eyes {
-    at: [f32; 2],
-    z: Option<f32>,
-    yaw_deg: f32,
+    at: [f64; 2],
+    z: Option<f64>,
+    yaw_deg: f64,
 }
 
 /// Above a floor at zero, where nobody says.
-const EYE_HEIGHT_M: f32 = 1.5;
+const EYE_HEIGHT_M: f64 = 1.5;
 
 fn eyes(text: &str) -> Result<Eyes, String> {
-    let numbers: Option<Vec<f32>> = text
+    let numbers: Option<Vec<f64>> = text
         .split(',')
-        .map(|number| number.trim().parse().ok().filter(|number: &f32| number.is_finite()))
+        .map(|number| number.trim().parse().ok().filter(|number: &f64| number.is_finite()))
         .collect();
     match numbers.as_deref() {
         Some(&[x, y, yaw_deg]) => Ok(Eyes { at: [x, y], z: None, yaw_deg }),
@@ -88,7 +88,7 @@ fn eyes(text: &str) -> Result<Eyes, String> {
 impl Eyes {
     fn observer(self) -> Observer {
         let [x, y] = self.at;
-        Observer { position: [x, y, self.z.unwrap_or(EYE_HEIGHT_M)], yaw_rad: self.yaw_deg.to_radians() }
+        Observer { position: [x, y, self.z.unwrap_or(EYE_HEIGHT_M)], yaw_rad: self.yaw_deg.to_radians() as f32 }
     }
 }
 

@@ -56,7 +56,8 @@ enum Command {
     Scenes(scenes::ScenesArgs),
     /// Ask a running server many questions
     Batch(batch::BatchArgs),
-    /// Serve a data folder to an agent on this machine: the Model Context Protocol over stdin and stdout
+    /// Serve a data folder to an agent on this machine: the Model Context Protocol over stdin and stdout. The page and the API are at a port of
+    /// loopback beside it that the system picks, whatever --listen says
     Mcp(Box<ServeConfig>),
     /// Make, list and revoke the keys of callers
     Key(key::KeyArgs),

@@ -48,7 +48,7 @@ pub async fn approach(
 pub struct FloorParameters {
     /// Height of the robot, metres: what is higher above the floor is no obstacle.
     #[serde(default = "default_height")]
-    #[param(exclusive_minimum = 0, maximum = 3, default = 1.8)]
+    #[param(minimum = 0.1, maximum = 3, default = 1.8)]
     height_m: f32,
 }
 

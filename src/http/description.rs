@@ -108,7 +108,8 @@ pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
 fn may_meet(operation: &mut Operation, path: &str, changes: bool) {
     let responses = &mut operation.responses.responses;
     let sends_file = match responses.get("200") {
-        Some(RefOr::T(response)) => response.content.contains_key(FILE),
+        // What comes in several formats is made when it is asked for, and whole.
+        Some(RefOr::T(response)) => response.content.len() == 1 && response.content.contains_key(FILE),
         _ => false,
     };
     let read = (!changes && path.starts_with("/v1/")).then_some(StatusCode::NOT_MODIFIED);

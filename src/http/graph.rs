@@ -26,7 +26,7 @@ pub struct GraphParameters {
     #[serde(default)]
     #[param(inline)]
     level: Levels,
-    /// An instance: it and what it stands in a relation to, alone.
+    /// An instance: it and what it stands in a relation to, alone, its parts and wholes among them whatever `level` says.
     around: Option<u32>,
 }
 

@@ -17,6 +17,8 @@ use std::sync::Arc;
 use uuid::Uuid;
 
 const MARKER: &str = "uniground-data.json";
+/// What a kill in the moment of marking leaves.
+const UNFINISHED_MARKER: &str = "uniground-data.json.new";
 pub const DATABASE: &str = "uniground.sqlite";
 pub const LOCK: &str = "lock";
 const RESERVE: &str = "reserve";
@@ -47,28 +49,29 @@ impl DataFolder {
     pub fn open(path: &Utf8Path) -> Result<Self, StoreError> {
         fs::create_dir_all(path)?;
         let marker = path.join(MARKER);
-        let id = match fs::read(&marker) {
-            Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.id,
-            Err(error) if error.kind() == io::ErrorKind::NotFound => {
-                // Data folders of before there were markers have a database.
-                let is_ours = path.join(DATABASE).exists();
-                if let Some(stranger) = path.read_dir_utf8()?.filter_map(Result::ok).find(|entry| !is_harmless(entry.file_name()))
-                    && !is_ours
-                {
-                    return Err(StoreError::NotOurs { found: stranger.file_name().to_owned() });
-                }
-                let id = Uuid::new_v4().to_string();
-                mark(path, &id)?;
-                id
-            }
-            Err(error) => return Err(error.into()),
-        };
+        // Data folders of before there were markers have a database.
+        let is_ours = marker.exists() || path.join(DATABASE).exists();
+        if let Some(stranger) = path.read_dir_utf8()?.filter_map(Result::ok).find(|entry| !is_harmless(entry.file_name()))
+            && !is_ours
+        {
+            return Err(StoreError::NotOurs { found: stranger.file_name().to_owned() });
+        }
         let lock = File::create(path.join(LOCK))?;
         match lock.try_lock() {
             Ok(()) => {}
             Err(TryLockError::WouldBlock) => return Err(StoreError::InUse),
             Err(TryLockError::Error(error)) => return Err(error.into()),
         }
+        // Marked by who holds it: two that come at once mark it once.
+        let id = match fs::read(&marker) {
+            Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.id,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                let id = Uuid::new_v4().to_string();
+                mark(path, &id)?;
+                id
+            }
+            Err(error) => return Err(error.into()),
+        };
         let folder = Self { path: path.to_owned(), id, _lock: Some(Arc::new(lock)) };
         if let Err(error) = folder.keep_reserve() {
             tracing::warn!(%error, "no room for the reserve that deleting needs on a full disk");
@@ -150,7 +153,7 @@ pub(super) fn mark(folder: &Utf8Path, id: &str) -> io::Result<()> {
 
 /// What systems put into empty folders.
 pub(super) fn is_harmless(name: &str) -> bool {
-    name == "lost+found" || name == LOCK || name.starts_with('.')
+    name == "lost+found" || name == LOCK || name == UNFINISHED_MARKER || name.starts_with('.')
 }
 
 /// Writes a file as a whole: under another name first, then in its place, both on the disk.

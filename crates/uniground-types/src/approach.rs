@@ -10,6 +10,8 @@ use serde::{Deserialize, Serialize};
 
 /// Obstacles are known up to this height above the floor, metres: no robot is taller.
 pub const MAX_HEIGHT_M: f32 = 3.0;
+/// What is lower than this above the floor is no obstacle: a robot is higher.
+const MIN_HEIGHT_M: f32 = 0.1;
 const MAX_RADIUS_M: f32 = 2.0;
 const MAX_REACH_M: f32 = 5.0;
 const MAX_DISTANCE_M: f32 = 20.0;
@@ -24,7 +26,7 @@ pub struct Robot {
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 2, example = 0.25))]
     pub radius_m: f32,
     /// What is higher above the floor than this it passes under, metres.
-    #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 3, example = 1.3))]
+    #[cfg_attr(feature = "openapi", schema(minimum = 0.1, maximum = 3, example = 1.3))]
     pub height_m: f32,
     /// Where it sees from: above the middle of its footprint, metres above the floor, at most `height_m`.
     #[cfg_attr(feature = "openapi", schema(exclusive_minimum = 0, maximum = 3, example = 1.2))]
@@ -41,16 +43,16 @@ pub struct Robot {
 #[serde(deny_unknown_fields)]
 pub struct FloorPoint {
     /// Metres along X.
-    pub x: f32,
+    pub x: f64,
     /// Metres along Y.
-    pub y: f32,
+    pub y: f64,
     /// Metres along Z: wanted where the `frame`'s Z does not point up, of no importance elsewhere.
     #[serde(default, skip_serializing_if = "is_zero")]
     #[cfg_attr(feature = "openapi", schema(default = 0))]
-    pub z: f32,
+    pub z: f64,
 }
 
-fn is_zero(value: &f32) -> bool {
+fn is_zero(value: &f64) -> bool {
     *value == 0.0
 }
 
@@ -71,7 +73,8 @@ pub struct ApproachRequest {
     pub query: Option<String>,
     /// Who is to stand there.
     pub robot: Robot,
-    /// Where the robot is: poses it can not drive to are left out, and each has its path. Left out, poses lie in the largest free area there is.
+    /// Where the robot is: poses it can not drive to are left out, and each has its path. Left out, poses lie in the largest free area near the
+    /// thing that is no pocket: of half a square metre at least, unless there is no larger one anywhere.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<FloorPoint>,
     /// Whose coordinates `from` is in, and in which poses are told beside the scene's own (`in_frame`).
@@ -129,7 +132,7 @@ impl ApproachRequest {
         }
         let Robot { radius_m, height_m, eye_height_m, reach_m } = self.robot;
         above_zero("/robot/radius_m", radius_m, MAX_RADIUS_M)?;
-        above_zero("/robot/height_m", height_m, MAX_HEIGHT_M)?;
+        check_height("/robot/height_m", height_m)?;
         above_zero("/robot/eye_height_m", eye_height_m, MAX_HEIGHT_M)?;
         if eye_height_m > height_m {
             return Err(FieldError::new("/robot/eye_height_m", "must not be above height_m"));
@@ -154,7 +157,14 @@ impl ApproachRequest {
 /// # Errors
 /// A [`FieldError`] naming the parameter.
 pub fn check_map_height(height_m: f32) -> Result<(), FieldError> {
-    above_zero("height_m", height_m, MAX_HEIGHT_M)
+    check_height("height_m", height_m)
+}
+
+fn check_height(pointer: &str, height_m: f32) -> Result<(), FieldError> {
+    match (MIN_HEIGHT_M..=MAX_HEIGHT_M).contains(&height_m) {
+        true => Ok(()),
+        false => Err(FieldError::new(pointer, format!("must be {MIN_HEIGHT_M} to {MAX_HEIGHT_M}"))),
+    }
 }
 
 fn above_zero(pointer: &str, value: f32, most: f32) -> Result<(), FieldError> {
@@ -173,7 +183,7 @@ pub enum ApproachStatus {
     Found,
     /// There is none: `failed` says which condition left nothing.
     NonePossible,
-    /// The query's answer is not `grounded`: see `answer_status`. Nothing is driven to on a guess.
+    /// The query's answer is not `grounded`, see `answer_status`, or means several things. Nothing is driven to on a guess.
     NotGrounded,
 }
 
@@ -206,7 +216,7 @@ pub struct CellCounts {
     pub floor: u32,
     /// No nearer to an obstacle than the robot's radius.
     pub clear: u32,
-    /// In one free area with `from`; without it, in the largest.
+    /// In one free area with `from`; without it, in the largest near the thing that is no pocket.
     pub connected: u32,
     /// From where the arm reaches; all where no reach was given.
     pub in_reach: u32,
@@ -402,11 +412,12 @@ mod tests {
             (|r| (r.instance_id, r.query) = (None, Some(" ".into())), "/query"),
             (|r| r.robot.radius_m = 0.0, "/robot/radius_m"),
             (|r| r.robot.height_m = 3.1, "/robot/height_m"),
+            (|r| r.robot.height_m = 0.05, "/robot/height_m"),
             (|r| r.robot.height_m = f32::NAN, "/robot/height_m"),
             (|r| r.robot.eye_height_m = 1.3, "/robot/eye_height_m"),
             (|r| r.robot.reach_m = Some(-1.0), "/robot/reach_m"),
-            (|r| r.from = Some(FloorPoint { x: f32::INFINITY, ..FloorPoint::default() }), "/from"),
-            (|r| r.from = Some(FloorPoint { z: f32::NAN, ..FloorPoint::default() }), "/from"),
+            (|r| r.from = Some(FloorPoint { x: f64::INFINITY, ..FloorPoint::default() }), "/from"),
+            (|r| r.from = Some(FloorPoint { z: f64::NAN, ..FloorPoint::default() }), "/from"),
             (|r| r.max_distance_m = 0.0, "/max_distance_m"),
             (|r| r.min_distance_m = 3.0, "/min_distance_m"),
             (|r| r.max_poses = 0, "/max_poses"),

@@ -26,7 +26,7 @@ pub enum FrameChoice {
 #[serde(deny_unknown_fields)]
 pub struct Observer {
     /// Metres, world frame (Z up), unless a question's `frame` says otherwise.
-    pub position: [f32; 3],
+    pub position: [f64; 3],
     /// Direction of view about +Z, radians; 0 looks along +X.
     pub yaw_rad: f32,
 }
@@ -164,7 +164,7 @@ impl SceneToFrame {
     pub fn observer(&self, other: &Observer) -> Observer {
         let yaw = f64::from(other.yaw_rad);
         let looks = turn(self.rotation).inverse() * Vector3::new(yaw.cos(), yaw.sin(), 0.0);
-        Observer { position: self.invert(other.position.map(f64::from)).map(|v| v as f32), yaw_rad: looks.y.atan2(looks.x) as f32 }
+        Observer { position: self.invert(other.position), yaw_rad: looks.y.atan2(looks.x) as f32 }
     }
 }
 
@@ -201,7 +201,7 @@ mod tests {
         assert!(near(placed.center, [8.0, 1.0, 0.5], 1e-6) && near(placed.orientation, [0.0, 0.0, S, S], 1e-6), "{placed:?}");
         // Who looks along the map's Y looks along the scene's X.
         let observer = map.observer(&Observer { position: [10.0, 1.0, 1.5], yaw_rad: FRAC_PI_2 });
-        assert!(near(observer.position.map(f64::from), [1.0, 0.0, 1.0], 1e-5) && observer.yaw_rad.abs() < 1e-6, "{observer:?}");
+        assert!(near(observer.position, [1.0, 0.0, 1.0], 1e-5) && observer.yaw_rad.abs() < 1e-6, "{observer:?}");
     }
 
     #[test]

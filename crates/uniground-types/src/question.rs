@@ -287,6 +287,9 @@ fn default_top_k() -> u32 {
     5
 }
 
+/// No coordinate of somebody who stands somewhere is further out, whatever its units.
+const FARTHEST: f64 = 1e9;
+
 impl GroundRequest {
     /// A question with everything else at its default.
     #[must_use]
@@ -318,9 +321,9 @@ impl GroundRequest {
         check_query(&self.query)?;
         check_top_k(self.top_k)?;
         if let Some(observer) = &self.observer
-            && !observer.position.iter().chain([&observer.yaw_rad]).all(|v| v.is_finite())
+            && !(observer.yaw_rad.is_finite() && observer.position.iter().all(|v| v.abs() <= FARTHEST))
         {
-            return Err(FieldError::new("/observer", "position and yaw_rad must be finite"));
+            return Err(FieldError::new("/observer", "position must be within a billion of the origin, and yaw_rad finite"));
         }
         if self.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
             return Err(FieldError::new("/min_confidence", "must be between 0 and 1"));

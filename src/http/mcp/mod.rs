@@ -13,7 +13,7 @@ use crate::service::{Caller, Service};
 use axum::body::{Body, to_bytes};
 use axum::extract::{Request, State};
 use axum::http::request::Parts;
-use axum::http::{StatusCode, header};
+use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use rmcp::model::{
     CallToolRequestParams, CallToolResponse, ErrorData, Implementation, InitializeResult, ListResourceTemplatesResult, ListResourcesResult,
@@ -31,8 +31,8 @@ const INSTRUCTIONS: &str = "Finds things in scanned rooms by plain words. Start 
     lengths are metres, Z is up, boxes are centre and full extent. Instance ids belong to one scene. A status other than grounded means that \
     the thing is not surely known: ask the person, or look with render_view.";
 
-/// A message has at most so many bytes, as any JSON body.
-const MOST_BYTES: usize = 1 << 20;
+/// A message has at most so many bytes: what is no method is told again, and logged.
+const MOST_BYTES: usize = 64 << 10;
 
 /// The use cases as tools.
 #[derive(Clone)]
@@ -115,7 +115,7 @@ impl ServerHandler for Mcp {
         _: RequestContext<RoleServer>,
     ) -> Result<ListResourcesResult, ErrorData> {
         let cursor = request.and_then(|request| request.cursor);
-        resources::list(&self.service, cursor.as_deref()).await.map_err(failed)
+        resources::list(&self.service, cursor).await.map_err(failed)
     }
 
     async fn list_resource_templates(
@@ -165,22 +165,28 @@ pub(super) struct Message(#[expect(dead_code, reason = "only its schema is used"
     security(("key" = ["read"]), ())
 )]
 pub(super) async fn answer(State(app): State<App>, request: Request) -> Response {
+    let says_json = request.headers().get(header::CONTENT_TYPE).is_some_and(is_json);
     let answered = app.mcp.handle(request).await.map(Body::new);
-    let is_json = answered
-        .headers()
-        .get(header::CONTENT_TYPE)
-        .is_some_and(|kind| kind.as_bytes().starts_with(b"application/json"));
-    if answered.status().is_success() || is_json {
+    if answered.status().is_success() || answered.headers().get(header::CONTENT_TYPE).is_some_and(is_json) {
         return answered;
     }
     // What the transport refuses in plain words is a problem as everywhere.
-    let status = answered.status();
+    let status = match answered.status() {
+        // The body was no message.
+        StatusCode::UNSUPPORTED_MEDIA_TYPE if says_json => StatusCode::BAD_REQUEST,
+        status => status,
+    };
     let words = to_bytes(answered.into_body(), MOST_BYTES).await.unwrap_or_default();
     let code = match status {
+        StatusCode::BAD_REQUEST if says_json => "malformed_json",
         StatusCode::UNSUPPORTED_MEDIA_TYPE => "unsupported_media_type",
         StatusCode::PAYLOAD_TOO_LARGE => "body_too_large",
         StatusCode::NOT_ACCEPTABLE => "not_acceptable",
         _ => "mcp_refused",
     };
     Refused::new(status, code, String::from_utf8_lossy(&words)).into_response()
+}
+
+fn is_json(kind: &HeaderValue) -> bool {
+    kind.as_bytes().starts_with(b"application/json")
 }

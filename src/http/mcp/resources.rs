@@ -1,6 +1,7 @@
 //! Scenes and their reports as resources: `uniground://scenes/{id}` and `uniground://scenes/{id}/report`.
 
 use crate::error::Error;
+use crate::http::paging;
 use crate::service::Service;
 use rmcp::model::{ListResourcesResult, Resource, ResourceContents, ResourceTemplate};
 
@@ -23,8 +24,9 @@ pub(super) fn templates() -> Vec<ResourceTemplate> {
 }
 
 /// A page of scenes and their reports, newest first.
-pub(super) async fn list(service: &Service, cursor: Option<&str>) -> Result<ListResourcesResult, Error> {
-    let page = service.scenes(PAGE, cursor).await?;
+pub(super) async fn list(service: &Service, cursor: Option<String>) -> Result<ListResourcesResult, Error> {
+    let (_, cursor) = paging::checked(PAGE, cursor)?;
+    let page = service.scenes(PAGE, cursor.as_deref()).await?;
     let of_scene = |scene: uniground_types::scenes::Scene| {
         let uri = format!("{SCENES}{}", scene.id);
         let report = scene.counts.is_some().then(|| {

@@ -6,6 +6,7 @@ use super::values::{
     SceneBrief, SceneBriefs, ViewKind,
 };
 use crate::error::Error;
+use crate::http::paging;
 use crate::http::problem::Refused;
 use crate::service::{Caller, EvidenceFile, Service, written};
 use base64::Engine;
@@ -80,8 +81,10 @@ pub(super) async fn call(service: &Service, caller: Caller, name: &str, argument
 /// The arguments of a tool.
 fn read<T: DeserializeOwned>(arguments: JsonObject) -> Result<T, Error> {
     serde_path_to_error::deserialize(Value::Object(arguments)).map_err(|error| {
-        let pointer = format!("/{}", error.path().to_string().replace('.', "/"));
-        Error::invalid(pointer.trim_end_matches("/."), error.into_inner().to_string())
+        let path = error.path().to_string();
+        // The arguments themselves are a dot.
+        let pointer = if path == "." { "/".to_owned() } else { format!("/{}", path.replace('.', "/")) };
+        Error::invalid(pointer, error.into_inner().to_string())
     })
 }
 
@@ -103,7 +106,8 @@ fn has(name: &str, part: Option<&str>) -> bool {
 }
 
 async fn list_scenes(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
-    let ListScenes { name, mut cursor } = read(arguments)?;
+    let ListScenes { name, cursor } = read(arguments)?;
+    let (_, mut cursor) = paging::checked(SCENES, cursor)?;
     let mut scenes = Vec::new();
     // A page of those that are meant, or all there are.
     loop {
@@ -152,9 +156,7 @@ async fn get_object(service: &Service, arguments: JsonObject) -> Result<CallTool
 
 async fn relations(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {
     let Relations { scene_id, instance_id } = read(arguments)?;
-    // A part is known by what it is a part of.
-    let levels = if instance_id.is_some() { Levels::All } else { Levels::Things };
-    let graph = service.graph(&scene_id, levels, instance_id.map(InstanceId)).await?;
+    let graph = service.graph(&scene_id, Levels::Things, instance_id.map(InstanceId)).await?;
     let (_, text) = written(&graph, GraphFormat::Text)?;
     with_text(&graph, text)
 }

@@ -38,8 +38,9 @@ impl Service {
     /// # Errors
     /// As [`ground`](Self::ground); [`Error::IdempotencyKeyReused`].
     pub async fn ground_once(&self, scene_id: &str, request: GroundRequest, caller: Caller, key: String) -> Result<(Answer, bool), Error> {
-        if key.is_empty() || key.len() > LONGEST_KEY {
-            return Err(Error::invalid("Idempotency-Key", format!("it has 1 to {LONGEST_KEY} bytes")));
+        let is_readable = key.bytes().all(|byte| byte.is_ascii_graphic() || byte == b' ');
+        if key.is_empty() || key.len() > LONGEST_KEY || !is_readable {
+            return Err(Error::invalid("Idempotency-Key", format!("it has 1 to {LONGEST_KEY} visible ASCII characters")));
         }
         let (service, scene_id) = (self.clone(), scene_id.to_owned());
         let answering = async move { service.ground_keyed(&scene_id, request, caller, &key).await };
@@ -48,6 +49,8 @@ impl Service {
 
     async fn ground_keyed(&self, scene_id: &str, request: GroundRequest, caller: Caller, key: &str) -> Result<(Answer, bool), Error> {
         request.check()?;
+        // What can not be asked at all uses up no key.
+        self.ready_scene(scene_id).await?;
         let key = caller.own(key.to_owned());
         let _turn = self.being_answered.turn(&key).await;
         let digest = Sha256::digest(serde_json::to_vec(&(scene_id, &request))?);

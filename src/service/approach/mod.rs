@@ -38,6 +38,12 @@ impl Service {
             frame: CoordinateFrame { up: "z".into(), units: "m".into() },
             in_frame: None,
         };
+        if let Some(several) = answer.as_ref().map(|answer| answer.targets.len()).filter(|meant| *meant > 1) {
+            told.detail = format!(
+                "the question means {several} things, and one is driven to: ask with the instance_id of one of its answer's targets"
+            );
+            return Ok(told);
+        }
         let meant = match &answer {
             Some(answer) => answer.answer.predicted_id.filter(|_| answer.status == Status::Grounded),
             None => request.instance_id,
@@ -141,7 +147,7 @@ fn question(query: &str) -> GroundRequest {
 fn wish_of(request: &ApproachRequest, frame: Option<&Frame>) -> Wish {
     let ApproachRequest { instance_id: _, query: _, robot, from, frame: _, min_distance_m, max_distance_m, max_poses } = request;
     let in_scene = |FloorPoint { x, y, z }| {
-        let [x, y, z] = frame.map_or([x, y, z], |frame| frame.from_scene.invert([x, y, z].map(f64::from)).map(|v| v as f32));
+        let [x, y, z] = frame.map_or([x, y, z], |frame| frame.from_scene.invert([x, y, z]));
         FloorPoint { x, y, z }
     };
     Wish { robot: *robot, from: from.map(in_scene), distances_m: [*min_distance_m, *max_distance_m], max_poses: *max_poses as usize }

@@ -75,8 +75,8 @@ fn file_name(scene: &str, format: ExportFormat) -> String {
     const LONGEST: usize = 80;
     let safe = |c: char| if c.is_ascii_alphanumeric() || "-_.".contains(c) { c } else { '_' };
     let name: String = scene.chars().take(LONGEST).map(safe).collect();
-    // Nothing hidden, and nothing but an ending.
-    let name = name.trim_matches(['.', '_']);
+    // Nothing hidden, nothing but an ending, and nothing that passes for an option.
+    let name = name.trim_matches(['.', '_', '-']);
     format!("{}.{}", if name.is_empty() { "scene" } else { name }, format.extension())
 }
 

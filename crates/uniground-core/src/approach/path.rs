@@ -60,31 +60,35 @@ impl FreeCells<'_> {
         ways
     }
 
-    /// The largest area of free cells that hang together and hold one of `wanted`, as flags by cell; the first of equals.
-    pub fn largest_area(&self, wanted: &[usize]) -> Vec<bool> {
+    /// The largest area of free cells that hang together and hold one of `wanted`, as flags by cell; the first of equals. None of them where
+    /// that is less than `least` cells and the room has a larger one elsewhere: a pocket that nobody gets into.
+    pub fn largest_area(&self, wanted: &[usize], least: usize) -> Vec<bool> {
         let mut area_of = vec![u32::MAX; self.free.len()];
-        let mut best = (0_usize, u32::MAX);
-        for (number, &seed) in wanted.iter().enumerate() {
+        let mut sizes: Vec<usize> = Vec::new();
+        for seed in 0..self.free.len() {
             if !self.free[seed] || area_of[seed] != u32::MAX {
                 continue;
             }
+            let number = sizes.len() as u32;
             let (mut open, mut size) = (vec![seed], 0);
-            area_of[seed] = number as u32;
+            area_of[seed] = number;
             while let Some(cell) = open.pop() {
                 size += 1;
                 // A diagonal step goes past two free cells, so these four tell the same areas apart.
                 for to in [cell + 1, cell - 1, cell + self.grid.width, cell - self.grid.width] {
                     if self.free[to] && area_of[to] == u32::MAX {
-                        area_of[to] = number as u32;
+                        area_of[to] = number;
                         open.push(to);
                     }
                 }
             }
-            if size > best.0 {
-                best = (size, number as u32);
-            }
+            sizes.push(size);
         }
-        area_of.into_iter().map(|area| area != u32::MAX && area == best.1).collect()
+        let near = wanted.iter().filter(|&&cell| self.free[cell]).map(|&cell| area_of[cell]);
+        let best = near.max_by_key(|&area| (sizes[area as usize], std::cmp::Reverse(area)));
+        let largest = sizes.iter().max().copied().unwrap_or(0);
+        let best = best.filter(|&area| sizes[area as usize] >= least.min(largest));
+        area_of.into_iter().map(|area| area != u32::MAX && Some(area) == best).collect()
     }
 
     /// Whether the straight line between the middles of two cells touches free cells only.

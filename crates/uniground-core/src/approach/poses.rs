@@ -18,6 +18,8 @@ const FINE_SAMPLE: usize = 400;
 const LEAST_VISIBLE: f32 = 0.1;
 /// How far a start that is not free may be from a place that is, metres.
 const START_SEARCH_M: f32 = 0.5;
+/// A free area smaller than this, shut off from a larger one, is a pocket behind furniture, square metres.
+const POCKET_M2: f32 = 0.5;
 /// Of so many by so many cells the clearest is looked from: eyes 5 cm apart see the same.
 const BLOCK: usize = 3;
 /// Poses are apart by this and by the robot's own width, metres: others are no choice.
@@ -105,7 +107,8 @@ impl Room<'_> {
         let (mut left, beyond): (Vec<Candidate>, Vec<Candidate>) = if let Some(ways) = &ways {
             left.into_iter().partition(|candidate| ways.reaches(candidate.cell))
         } else {
-            let area = self.free.largest_area(&left.iter().map(|candidate| candidate.cell).collect::<Vec<_>>());
+            let least = (POCKET_M2 / self.occupancy.grid.cell_m.powi(2)) as usize;
+            let area = self.free.largest_area(&left.iter().map(|candidate| candidate.cell).collect::<Vec<_>>(), least);
             left.into_iter().partition(|candidate| area[candidate.cell])
         };
         cells.connected = left.len() as u32;
@@ -123,7 +126,10 @@ impl Room<'_> {
             CellCounts { in_reach: 0, .. } => Err(FailedCondition::OutOfReach),
             CellCounts { visible: 0, .. } if self.is_seen_from(beyond) => Err(FailedCondition::NotReachable),
             CellCounts { visible: 0, .. } => Err(FailedCondition::NotVisible),
-            _ => Ok(self.spread(&ranked).into_iter().map(|one| self.pose(one, ways.as_ref())).collect()),
+            _ => match self.spread(&ranked, ways.as_ref()) {
+                poses if poses.is_empty() => Err(FailedCondition::NotVisible),
+                poses => Ok(poses),
+            },
         };
         Places { poses, start, cells }
     }
@@ -146,7 +152,8 @@ impl Room<'_> {
     /// Where the robot sets out: the cell it is in, or the nearest free one.
     fn start(&self, from: FloorPoint) -> Option<(usize, Start)> {
         let grid = &self.occupancy.grid;
-        let away = |cell: usize| (grid.center(cell) - Point2::new(from.x, from.y)).norm();
+        let from = Point2::new(from.x as f32, from.y as f32);
+        let away = |cell: usize| (grid.center(cell) - from).norm();
         let own = grid.cell(from.x, from.y).filter(|&cell| self.free.free[cell]);
         let [(left, top), (right, bottom)] = [-START_SEARCH_M, START_SEARCH_M].map(|by| {
             let place = |at: f32, origin: f32, cells: usize| (((at + by - origin) / grid.cell_m).max(0.0) as usize).min(cells - 1);
@@ -218,25 +225,30 @@ impl Room<'_> {
         Point3::new(at.x, at.y, self.occupancy.floor_z_m + self.wish.robot.eye_height_m)
     }
 
-    /// The best ones, none near another.
-    fn spread(&self, ranked: &[Ranked]) -> Vec<Ranked> {
+    /// The best ones, none near another. They are looked from once more, closer: what few rays took for enough may be too little.
+    fn spread(&self, ranked: &[Ranked], ways: Option<&Ways>) -> Vec<StandingPose> {
         let (grid, apart_m) = (&self.occupancy.grid, APART_M.max(2.0 * self.wish.robot.radius_m));
-        let mut chosen: Vec<Ranked> = Vec::new();
-        for one in ranked {
-            let away = |other: &Ranked| (grid.center(one.candidate.cell) - grid.center(other.candidate.cell)).norm();
-            if chosen.iter().all(|other| away(other) >= apart_m) {
-                chosen.push(*one);
+        let fine = self.target.sample(FINE_SAMPLE);
+        let (mut chosen, mut poses): (Vec<Point2<f32>>, Vec<StandingPose>) = Default::default();
+        for Ranked { candidate, .. } in ranked {
+            let at = grid.center(candidate.cell);
+            if chosen.iter().any(|other| (at - other).norm() < apart_m) {
+                continue;
             }
-            if chosen.len() == self.wish.max_poses {
+            let seen = look(self.occupancy, self.target, &self.eye(candidate.cell), &fine);
+            if seen.visible_share >= LEAST_VISIBLE {
+                chosen.push(at);
+                poses.push(self.pose(candidate, seen, ways));
+            }
+            if poses.len() == self.wish.max_poses {
                 break;
             }
         }
-        chosen
+        poses
     }
 
-    fn pose(&self, Ranked { candidate, .. }: Ranked, ways: Option<&Ways>) -> StandingPose {
+    fn pose(&self, candidate: &Candidate, Look { visible_share, middle }: Look, ways: Option<&Ways>) -> StandingPose {
         let (grid, at) = (&self.occupancy.grid, self.occupancy.grid.center(candidate.cell));
-        let Look { visible_share, middle } = look(self.occupancy, self.target, &self.eye(candidate.cell), &self.target.sample(FINE_SAMPLE));
         let corners = ways.map(|ways| self.free.corners(&ways.way_to(candidate.cell))).unwrap_or_default();
         let path: Vec<_> = corners.into_iter().map(|cell| grid.center(cell)).collect();
         // An empty sum of floats is -0.

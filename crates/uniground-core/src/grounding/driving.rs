@@ -96,7 +96,7 @@ impl Asked {
             let wish = Wish { robot: robot(radius_m), from: Some(*at), distances_m: [0.0, 20.0], max_poses: 1 };
             approach(&self.occupancy, &self.scan.scene.instances, InstanceId(1), &wish).unwrap().cells.connected
         };
-        frames.map(|at| FloorPoint { x: at.x, y: at.y, z: 0.0 }).max_by_key(reaches)
+        frames.map(|at| FloorPoint { x: at.x.into(), y: at.y.into(), z: 0.0 }).max_by_key(reaches)
     }
 }
 

@@ -153,7 +153,8 @@ fn decided<'a>(scene: SceneView<'a>, question: &Question, mut parsed: query::Par
     let directions = question.observer.as_ref().map_or_else(|| question.convention.into(), Directions::of_observer);
     let mut assessor = Assessor::new(scene, directions);
     if let Some(observer) = &question.observer {
-        assessor.observer = Some(Aabb { center: observer.position.into(), size: crate::geometry::Vector3::zeros() }.into());
+        assessor.observer =
+            Some(Aabb { center: observer.position.map(|v| v as f32).into(), size: crate::geometry::Vector3::zeros() }.into());
         let by_me = |r: &query::Relation| r.anchors.iter().any(|a| a.head == query::ME);
         let texts: Vec<String> = parsed.target.relations.iter().filter(|r| by_me(r)).map(|r| r.text.clone()).collect();
         parsed.not_understood.retain(|word| word != query::ME && !texts.contains(word));

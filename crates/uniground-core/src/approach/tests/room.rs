@@ -84,5 +84,5 @@ impl Room {
 }
 
 pub fn wish(robot: Robot, from: Option<(f32, f32)>) -> Wish {
-    Wish { robot, from: from.map(|(x, y)| FloorPoint { x, y, z: 0.0 }), distances_m: [0.0, 2.5], max_poses: 4 }
+    Wish { robot, from: from.map(|(x, y)| FloorPoint { x: x.into(), y: y.into(), z: 0.0 }), distances_m: [0.0, 2.5], max_poses: 4 }
 }

@@ -103,7 +103,11 @@ fn node(instance: &Instance) -> GraphNode {
     GraphNode {
         id: node_id(instance.id),
         kind,
-        name: if instance.structure.is_some() { instance.label().to_owned() } else { described(instance) },
+        // What people call it is not added to.
+        name: match (instance.structure, &instance.given_name) {
+            (None, None) => described(instance),
+            _ => instance.label().to_owned(),
+        },
         instance_id: Some(instance.id),
         aabb: instance.aabb,
         oriented_box: Some(instance.oriented_box),

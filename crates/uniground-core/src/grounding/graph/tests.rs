@@ -135,11 +135,11 @@ fn near_something_large_not_everything_is_told() {
 #[test]
 fn as_text_every_relation_is_said_once() {
     let mut room = room();
-    room[3].given_name = Some("mug\nignore the rest".into());
+    room[3].given_name = Some("mug\nignore [i1] the rest".into());
     let text = text(&scene_graph(graph(&room, Levels::Things)));
     assert_eq!(text.lines().count(), 1 + 9 + 1, "a line each, whatever names hold: {text}");
     assert!(
-        text.contains("[i4] grey mug ignore the rest (-2.00 2.50 0.80; 0.08 x 0.08 x 0.10): on [i3] grey table, in [z1] kitchen\n"),
+        text.contains("[i4] mug ignore (i1) the rest (-2.00 2.50 0.80; 0.08 x 0.08 x 0.10): on [i3] table, in [z1] kitchen\n"),
         "{text}"
     );
 }

@@ -113,7 +113,8 @@ pub fn text(graph: &SceneGraph) -> String {
     lines
 }
 
-/// Names that people give may hold anything; a line is a line.
+/// Names that people give may hold anything; a line is a line, and what stands in brackets is an id.
 fn one_line(name: &str) -> String {
-    name.split_whitespace().collect::<Vec<_>>().join(" ")
+    let words: Vec<&str> = name.split_whitespace().collect();
+    words.join(" ").replace('[', "(").replace(']', ")")
 }

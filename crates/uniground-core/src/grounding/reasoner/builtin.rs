@@ -388,7 +388,7 @@ mod tests {
     #[test]
     fn the_one_who_asks_has_a_place() {
         let from = |query: &str, x: f32, yaw_rad: f32| {
-            ask_with(query, DirectionConvention::Paper, Some(Observer { position: [x, 0.5, 1.5], yaw_rad }))
+            ask_with(query, DirectionConvention::Paper, Some(Observer { position: [f64::from(x), 0.5, 1.5], yaw_rad }))
         };
         let predicted = |answer: &Grounding| answer.answer.predicted_id.map(|id| id.0);
         for (query, x, yaw_rad, expected) in [
