@@ -909,6 +909,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/scenes/import": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Makes a scene of a scan that lies on the server's own disk, below the folder its operator named (`--import-root`).
+         * @description As an upload of the same file; a folder is packed first, and nothing that a link brings in from elsewhere goes with it.
+         */
+        post: operations["import_scene"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/scenes/sample": {
         parameters: {
             query?: never;
@@ -1376,7 +1396,7 @@ export interface components {
             clear: number;
             /**
              * Format: int32
-             * @description In one free area with `from`; without it, in the largest.
+             * @description In one free area with `from`; without it, in the largest near the thing that is no pocket.
              */
             connected: number;
             /**
@@ -1626,17 +1646,17 @@ export interface components {
         /** @description A place on the floor: metres, world frame (Z up), unless a request's `frame` says otherwise. */
         FloorPoint: {
             /**
-             * Format: float
+             * Format: double
              * @description Metres along X.
              */
             x: number;
             /**
-             * Format: float
+             * Format: double
              * @description Metres along Y.
              */
             y: number;
             /**
-             * Format: float
+             * Format: double
              * @description Metres along Z: wanted where the `frame`'s Z does not point up, of no importance elsewhere.
              * @default 0
              */
@@ -1890,6 +1910,24 @@ export interface components {
             up: components["schemas"]["UpAxis"];
             /** @description What is odd but was accepted, each with its file or frame. */
             warnings: string[];
+        };
+        /** @description A scan on the server's own disk. */
+        ImportRequest: {
+            /** @description Name of the scene; default: what the archive calls itself. */
+            name?: string | null;
+            /**
+             * @description `false` only stores the scan.
+             * @default true
+             */
+            parse?: boolean;
+            /**
+             * @description A file or folder below the one that the server's operator named, relative to it: whatever can be uploaded, a folder unpacked.
+             * @example monday/kitchen
+             */
+            path: string;
+            /** @description Settings to parse with. */
+            preset?: components["schemas"]["ParsePreset"];
+            up?: components["schemas"]["UpAxis"] | null;
         };
         /** @description How a scan becomes a scene; part of the parse settings, because they decide the result. */
         ImportSettings: {
@@ -9088,13 +9126,6 @@ export interface operations {
                     "model/vnd.usdz+zip": components["schemas"]["Binary"];
                 };
             };
-            /** @description The part that `Range` names */
-            206: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
-            };
             /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
             304: {
                 headers: {
@@ -9161,13 +9192,6 @@ export interface operations {
                      */
                     "application/problem+json": components["schemas"]["Problem"];
                 };
-            };
-            /** @description The file has no such part */
-            416: {
-                headers: {
-                    [name: string]: unknown;
-                };
-                content?: never;
             };
             /** @description The server is called by a name that is not its own */
             421: {
@@ -9897,7 +9921,7 @@ export interface operations {
     get_graph: {
         parameters: {
             query?: {
-                /** @description An instance: it and what it stands in a relation to, alone. */
+                /** @description An instance: it and what it stands in a relation to, alone, its parts and wholes among them whatever `level` says. */
                 around?: number;
                 /** @description JSON, `GraphML`, or lines of text for a language model. */
                 format?: "json" | "graphml" | "text";
@@ -12097,6 +12121,235 @@ export interface operations {
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
                      *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    import_scene: {
+        parameters: {
+            query?: never;
+            header?: {
+                /** @description The same key again returns the scene it made */
+                "Idempotency-Key"?: string | null;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ImportRequest"];
+            };
+        };
+        responses: {
+            /** @description Taken; the work goes on in the background */
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Created"];
+                };
+            };
+            /** @description The body can not be read */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "malformed_json",
+                     *       "detail": "expected `,` or `}` at line 1 column 17",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 400,
+                     *       "title": "Bad Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scope_missing",
+                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 403,
+                     *       "title": "Forbidden",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body is too large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "body_too_large",
+                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 413,
+                     *       "title": "Payload Too Large",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Another content type is wanted */
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unsupported_media_type",
+                     *       "detail": "the body must be application/json, not \"text/plain\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 415,
+                     *       "title": "Unsupported Media Type",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The disk is full */
+            507: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "storage_full",
+                     *       "detail": "the server's disk is full: delete scenes, or ask its operator",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 507,
+                     *       "title": "Insufficient Storage",
                      *       "type": "about:blank"
                      *     }
                      */

@@ -457,7 +457,7 @@ class CellCounts:
     clear: int
     """No nearer to an obstacle than the robot's radius."""
     connected: int
-    """In one free area with `from`; without it, in the largest."""
+    """In one free area with `from`; without it, in the largest near the thing that is no pocket."""
     in_reach: int
     """From where the arm reaches; all where no reach was given."""
     looked_from: int
@@ -808,6 +808,22 @@ class ImportReport:
     reprojection_agreement: Optional[float] = None
     """Share of sampled points that agree with the depth pictures they project into, `0..=1`; `null` where it could not be measured."""
     source_to_scene: Optional[SourceToScene] = None
+
+
+class ImportOptions(TypedDict, total=False):
+    """What `ImportRequest` may have besides."""
+    name: Optional[str]
+    """Name of the scene; default: what the archive calls itself."""
+    parse: bool
+    """`false` only stores the scan."""
+    preset: ParsePreset
+    """Settings to parse with."""
+    up: Optional[UpAxis]
+    """The axis that points up in the files, for scans that do not say; default: the axis the cameras hold up."""
+class ImportRequest(ImportOptions):
+    """A scan on the server's own disk."""
+    path: str
+    """A file or folder below the one that the server's operator named, relative to it: whatever can be uploaded, a folder unpacked."""
 
 
 class ImportSettings(TypedDict, total=False):
