@@ -155,7 +155,7 @@ def test_where_there_is_no_place_there_is_no_goal_and_a_reason(node: Grounding, 
     assert node.log[-1] == f"no goal: {short.goal_reason}"
     half_known = ask(given(node, robot_height_m=0.0), MUG)
     assert (half_known.status, half_known.has_goal) == ("grounded", False)
-    assert "/robot/height_m: must be above 0" in half_known.goal_reason
+    assert "/robot/height_m: must be 0.1 to 3" in half_known.goal_reason
     monkeypatch.setitem(stubs.TRANSFORMS, ("scan", "base_link"), transform(50, 0, 0))
     assert "can not stand where it is said to be" in ask(given(node, **ROBOT), MUG).goal_reason
     monkeypatch.delitem(stubs.TRANSFORMS, ("scan", "base_link"))
