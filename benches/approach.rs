@@ -1,4 +1,4 @@
-//! A place to stand in a hall of five million points, and the graph of its things: `cargo bench --bench approach`.
+//! A place to stand in halls of five million points, and the graph of their things: `cargo bench --bench approach`.
 
 #![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to time
 
@@ -15,15 +15,14 @@ use uniground_types::approach::{FloorPoint, Robot};
 use uniground_types::instances::Levels;
 
 const POINTS: usize = 5_000_000;
-/// Tables in rows, and what stands on them.
-const THINGS: usize = 300;
-const ROOM_M: f32 = 30.0;
+/// Sides of a square hall, metres, and how many tables in rows and things on them there are.
+const HALLS: [(f32, usize); 2] = [(15.0, 100), (30.0, 300)];
 const CALLS: usize = 200;
 
 /// Things on a grid: every second one stands on the table before it.
-fn hall() -> Vec<Instance> {
-    let side = ((THINGS / 2) as f32).sqrt().ceil() as usize;
-    let apart = ROOM_M / side as f32;
+fn hall(room_m: f32, things: usize) -> Vec<Instance> {
+    let side = ((things / 2) as f32).sqrt().ceil() as usize;
+    let apart = room_m / side as f32;
     let object = |i: usize| {
         let (column, row) = ((i / 2) % side, (i / 2) / side);
         let is_table = i.is_multiple_of(2);
@@ -35,14 +34,14 @@ fn hall() -> Vec<Instance> {
         SceneObject { id: i as u32 + 1, name, aabb, rotated: None, cloud_points: 0, mean_rgb: None, colours: Vec::new(), seen_as: None }
     };
     instances_of(
-        &Annotations { objects: (0..THINGS).map(object).collect(), of_point: None },
+        &Annotations { objects: (0..things).map(object).collect(), of_point: None },
         &PointCloud::default(),
         NamedBy::Encoder,
     )
 }
 
 /// A third of the points on the floor, the rest on the surfaces of things; the same every time.
-fn cloud(instances: &[Instance]) -> (Vec<Point3<f32>>, Vec<InstanceId>) {
+fn cloud(room_m: f32, instances: &[Instance]) -> (Vec<Point3<f32>>, Vec<InstanceId>) {
     let mut state = 1_u64;
     let mut chance = || {
         state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -52,7 +51,7 @@ fn cloud(instances: &[Instance]) -> (Vec<Point3<f32>>, Vec<InstanceId>) {
     let mut of_point = Vec::with_capacity(POINTS);
     for point in 0..POINTS {
         if point.is_multiple_of(3) {
-            positions.push(Point3::new(chance() * ROOM_M, chance() * ROOM_M, 0.004 * chance()));
+            positions.push(Point3::new(chance() * room_m, chance() * room_m, 0.004 * chance()));
             of_point.push(InstanceId(0));
             continue;
         }
@@ -80,8 +79,13 @@ fn timed(calls: usize, mut call: impl FnMut(usize)) -> Vec<f64> {
 }
 
 fn main() {
-    let instances = hall();
-    let (positions, of_point) = cloud(&instances);
+    HALLS.into_iter().for_each(|(room_m, things)| measured(room_m, things));
+}
+
+fn measured(room_m: f32, things: usize) {
+    println!("{room_m} x {room_m} m, {things} things");
+    let instances = hall(room_m, things);
+    let (positions, of_point) = cloud(room_m, &instances);
     let start = Instant::now();
     let occupancy = Occupancy::of(&positions, &of_point, &instances);
     println!(
@@ -98,7 +102,7 @@ fn main() {
         let wish = Wish { robot: Robot { reach_m, ..robot }, from, distances_m: [0.0, 2.5], max_poses: 3 };
         let mut found = 0;
         let taken = timed(CALLS, |i| {
-            let id = InstanceId((i * 37 % THINGS) as u32 + 1);
+            let id = InstanceId((i * 37 % things) as u32 + 1);
             found += usize::from(approach(&occupancy, &instances, id, &wish).unwrap().poses.is_ok());
         });
         println!(
@@ -111,5 +115,5 @@ fn main() {
     let names = NameIndex::of(&instances);
     let view = SceneView { instances: &instances, extent, names: &names, appearance: None };
     let taken = timed(20, |_| assert!(!Graph::of(view, Levels::All, Guessed::ByLooks).edges.is_empty()));
-    println!("the graph of {THINGS} things: p50 {:.1} ms", taken[10]);
+    println!("the graph of {things} things: p50 {:.1} ms", taken[10]);
 }
