@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: web web-check web-test demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-openapi python-client test-python schemathesis clean
+.PHONY: web web-check web-test demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -89,6 +89,9 @@ bench-language: ## Reading questions, and deciding them over 200 and 5,000 insta
 bench-approach: ## A place to stand, and the graph of a scene, in halls of five million points
 	$(CARGO) bench --locked --quiet --bench approach
 
+bench-readers: ## Clouds of ten million points, checks and imports of thousands of frames (16 GB of disk; MB=1000 for less)
+	$(CARGO) bench --locked --quiet --bench readers
+
 bench-vlm: ## What a vision-language model is shown, what that costs in time and tokens, without a model
 	$(CARGO) bench --locked --quiet --bench vlm
 
@@ -106,6 +109,10 @@ openapi: ## Regenerate the committed description, and what the Python package ha
 test-mcp: ## Agents: the Python SDK and the inspector against the real server (installs into .venv-mcp)
 	$(CARGO) build --release --locked --quiet
 	PYTHON=$(PYTHON) scripts/test-mcp.sh
+
+test-tus: ## Uploads in parts: tuspy and tus-js-client against a real server that is killed in the middle (npm; installs into .venv-tus)
+	$(CARGO) build --release --locked --quiet
+	PYTHON=$(PYTHON) scripts/test-tus.sh
 
 test-openapi: ## The description by those who read it: Redocly's linter, clients in Python and TypeScript made and compiled (npm; installs into .venv-openapi)
 	PYTHON=$(PYTHON) scripts/test-openapi.sh

@@ -81,7 +81,8 @@ fn parse(bundle: SceneBundle, progress: &Progress) -> Result<uniground_core::sce
 }
 
 fn side_by_side(room: &SceneBundle, rooms: usize) -> SceneBundle {
-    let mut all = SceneBundle { cloud: uniground_core::scene::PointCloud::default(), frames: Vec::new(), report: room.report.clone() };
+    let (cloud, report) = (uniground_core::scene::PointCloud::default(), room.report.clone());
+    let mut all = SceneBundle { cloud, frames: Vec::new(), report, additions: Vec::new() };
     for k in 0..rooms {
         let shift = Vector3::new(k as f32 * STEP_M, 0.0, 0.0);
         all.cloud.positions.extend(room.cloud.positions.iter().map(|p| p + shift));

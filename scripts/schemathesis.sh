@@ -37,6 +37,9 @@ answer=$(curl -fsS "${show[@]}" -X POST "$url/v1/scenes/$scene/ground" -H 'conte
     "$venv/bin/python" -c 'import json,sys; print(json.load(sys.stdin)["id"])')
 job=$(curl -fsS "${show[@]}" "$url/v1/scenes/$scene" | "$venv/bin/python" -c 'import json,sys; print(json.load(sys.stdin)["job_id"])')
 
+upload=$(curl -fsS "${show[@]}" -X POST "$url/v1/uploads" -H 'tus-resumable: 1.0.0' -H 'upload-length: 1000000' |
+    "$venv/bin/python" -c 'import json,sys; print(json.load(sys.stdin)["id"])')
+
 cat >"$data/schemathesis.toml" <<TOML
 hooks = "$PWD/scripts/schemathesis_hooks.py"
 [checks.not_a_server_error]
@@ -45,6 +48,7 @@ expected-statuses = ["2xx", "3xx", "4xx"]
 "path.scene_id" = "$scene"
 "path.answer_id" = "$answer"
 "path.job_id" = "$job"
+"path.upload_id" = "$upload"
 "path.view" = "0.jpg"
 # Deleting the scene would leave the rest nothing to talk to.
 [[operations]]

@@ -71,7 +71,8 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     let inference = inference.map(Probe::new).transpose().context("a client for the inference server")?;
     let service = Service::new(store.clone(), jobs.clone(), keys, config.limits.service_limits(), vlm, models, parsing)
         .watching(inference)
-        .importing_from(config.access.import_root.clone());
+        .importing_from(config.access.import_root.clone())
+        .telling(http::told);
     let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;
 
@@ -84,6 +85,7 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         start_lane(&jobs, BatchJob(service.clone()), &shutdown),
     ];
     tokio::spawn(keep_house(service.clone(), shutdown.clone()));
+    tokio::spawn(make_left_uploads(service.clone(), shutdown.clone()));
     if let Some(chat) = chat {
         tokio::spawn(look_for_model(chat, service.clone()));
     }
@@ -135,6 +137,19 @@ async fn keep_house(service: Service, shutdown: CancellationToken) {
             tracing::warn!(error = &error as &dyn std::error::Error, "the daily look at what is stored could not be finished");
         }
         wait = DAY;
+    }
+}
+
+/// Goes on with uploads that were all there when their server stopped, or that a full queue or disk kept waiting.
+async fn make_left_uploads(service: Service, shutdown: CancellationToken) {
+    const EVERY: Duration = Duration::from_secs(10);
+    while let Some(made) = shutdown.run_until_cancelled(service.make_left_uploads()).await {
+        if let Err(error) = made {
+            tracing::warn!(error = &error as &dyn std::error::Error, "uploads that wait could not be looked up");
+        }
+        if shutdown.run_until_cancelled(sleep(EVERY)).await.is_none() {
+            return;
+        }
     }
 }
 

@@ -23,6 +23,7 @@ use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::models::chat::Prices;
 
 const DEFAULT_MAX_UPLOAD_BYTES: u64 = 16 << 30;
+const DEFAULT_MAX_UNFINISHED_UPLOADS: u32 = 100;
 const DEFAULT_MAX_QUEUED_JOBS: u32 = 100;
 const DEFAULT_MAX_CONCURRENT_QUESTIONS: u32 = 32;
 const DEFAULT_VLM_CONCURRENCY: u32 = 8;
@@ -243,6 +244,9 @@ pub struct LimitsConfig {
     /// Largest upload accepted, bytes
     #[arg(long, env = "UNIGROUND_MAX_UPLOAD_BYTES", default_value_t = DEFAULT_MAX_UPLOAD_BYTES)]
     pub max_upload_bytes: u64,
+    /// Uploads in parts that may be unfinished at once
+    #[arg(long, env = "UNIGROUND_MAX_UNFINISHED_UPLOADS", default_value_t = DEFAULT_MAX_UNFINISHED_UPLOADS, value_name = "N")]
+    pub max_unfinished_uploads: u32,
     /// Largest size an archive may unpack to, bytes
     #[arg(long, env = "UNIGROUND_MAX_UNPACKED_BYTES", default_value_t = UnpackLimits::default().max_bytes)]
     pub max_unpacked_bytes: u64,
@@ -283,6 +287,7 @@ impl Default for LimitsConfig {
     fn default() -> Self {
         Self {
             max_upload_bytes: DEFAULT_MAX_UPLOAD_BYTES,
+            max_unfinished_uploads: DEFAULT_MAX_UNFINISHED_UPLOADS,
             max_unpacked_bytes: UnpackLimits::default().max_bytes,
             max_queued_jobs: DEFAULT_MAX_QUEUED_JOBS,
             max_concurrent_questions: DEFAULT_MAX_CONCURRENT_QUESTIONS,
@@ -298,6 +303,7 @@ impl LimitsConfig {
     pub fn service_limits(&self) -> Limits {
         Limits {
             max_upload_bytes: self.max_upload_bytes,
+            max_unfinished_uploads: self.max_unfinished_uploads,
             unpack: UnpackLimits { max_bytes: self.max_unpacked_bytes, ..UnpackLimits::default() },
             keep_free_bytes: self.keep_free_bytes,
             max_concurrent_questions: self.max_concurrent_questions as usize,

@@ -3,6 +3,7 @@
 use crate::jobs::JobsError;
 use crate::store::{StoreError, is_disk_full};
 use std::io;
+use uniground_core::changes::ChangesError;
 use uniground_core::grounding::pipeline::QuestionError;
 use uniground_core::ingest::IngestError;
 use uniground_core::models::chat::{AskError, ChatError, ChatFailure, OverBudget};
@@ -44,7 +45,7 @@ pub enum Error {
     KeyNotFound { id: String },
     #[error("the key this was asked for with is refused by now")]
     KeyRefused,
-    #[error("this key may have {most} scenes and has them: delete one, or ask for more")]
+    #[error("this key may have {most} scenes, unfinished uploads counted, and has them: delete one, or ask for more")]
     TooManyScenes { most: u32 },
     #[error("there is no correction {id} of this scene's current parse")]
     CorrectionNotFound { id: String },
@@ -100,6 +101,21 @@ pub enum Error {
     ImportNotAllowed,
     #[error("there is no {path:?} below the folder that is imported from")]
     ImportNotFound { path: String },
+    #[error("a scene grows at most {most} times: upload the scan anew, with all of its frames")]
+    GrownTooOften { most: usize },
+    #[error("somebody else has added frames to scene {id} meanwhile: try again")]
+    GrowthOvertaken { id: String },
+    #[error(
+        "what happened since version {since} is not known: version {renumbered} was parsed anew, with ids of its own. Ask for what happened since then"
+    )]
+    VersionsApart { since: u32, renumbered: u32 },
+    #[error("scene {id} has no version {asked}: it has {version}")]
+    NoVersion { id: String, asked: u32, version: u32 },
+    #[error(
+        "the two scans do not lie over each other: {:.0}% of the points of the first have one of the second's within 5 cm. Give both a scene_to_map with the same map_frame_id, or scan them in one world",
+        overlap * 100.0
+    )]
+    ScansApart { overlap: f32 },
     #[error("too many {what} at once: {most} are served")]
     TooMany { what: &'static str, most: usize },
     #[error("{what}")]
@@ -108,6 +124,18 @@ pub enum Error {
     UploadTooSlow { bytes_per_s: u64, silence_s: u64 },
     #[error("the upload holds more than {max_bytes} bytes")]
     UploadTooLarge { max_bytes: u64 },
+    #[error("there is no upload {id}")]
+    UploadNotFound { id: String },
+    #[error("upload {id} was not gone on with for too long: begin a new one")]
+    UploadExpired { id: String },
+    #[error("somebody is sending to upload {id}, or it is being made a scene: ask for its offset when that is over")]
+    UploadBusy { id: String },
+    #[error("{offset} bytes of this upload are there: go on at this offset")]
+    WrongOffset { offset: u64 },
+    #[error("what has come is not what the checksum is of: send this part again")]
+    ChecksumMismatch,
+    #[error("{most} uploads may be unfinished at once: finish one, or delete it")]
+    TooManyUploads { most: u32 },
     #[error("the upload broke off after {received} bytes")]
     UploadInterrupted { received: u64 },
     #[error("only {} MB are free on the server's disk", free >> 20)]
@@ -153,6 +181,15 @@ impl From<ScanError> for Error {
 impl From<FieldError> for Error {
     fn from(FieldError { pointer, detail }: FieldError) -> Self {
         Self::Invalid { pointer, detail }
+    }
+}
+
+impl From<ChangesError> for Error {
+    fn from(error: ChangesError) -> Self {
+        match error {
+            ChangesError::Frame(error) => Self::Parse(error.into()),
+            ChangesError::Cancelled(cancelled) => Self::Parse(cancelled.into()),
+        }
     }
 }
 
@@ -212,28 +249,7 @@ impl Error {
             return "storage_busy";
         }
         match self {
-            Self::Ingest(error) => match error.cause() {
-                IngestError::ArchiveUnreadable { .. } => "archive_unreadable",
-                IngestError::UnsafeEntry { .. } => "archive_entry_unsafe",
-                IngestError::ArchiveTooLarge { .. } => "archive_too_large",
-                IngestError::UnknownLayout { .. } => "unknown_layout",
-                // Of many damaged frames the first one's cause stands for all, so the second is never met here.
-                IngestError::Malformed { .. } | IngestError::TooManyDamaged { .. } => "scene_file_malformed",
-                IngestError::MissingFile { .. } => "scene_file_missing",
-                IngestError::MissingIntrinsics { .. } => "intrinsics_missing",
-                IngestError::BadIntrinsics { .. } => "intrinsics_invalid",
-                IngestError::FrameCountMismatch { .. } => "frame_count_mismatch",
-                IngestError::BadPose { .. } => "pose_invalid",
-                IngestError::EmptyCloud { .. } => "cloud_empty",
-                IngestError::EmptyScene => "scene_empty",
-                IngestError::NoUsableFrames { .. } => "no_usable_frames",
-                IngestError::Frame(_) => "frame_unreadable",
-                IngestError::NothingFits { .. } => "convention_mismatch",
-                IngestError::IncompleteLayout { .. } => "layout_incomplete",
-                IngestError::UpUnknown { .. } => "up_unknown",
-                IngestError::Io { .. } => "storage_failed",
-                IngestError::Cancelled(_) => "cancelled",
-            },
+            Self::Ingest(error) => code_of_import(error),
             Self::Parse(error) => match error {
                 ParseError::Frame(
                     FrameError::Unreadable { .. }
@@ -287,13 +303,51 @@ impl Error {
             Self::IdempotencyKeyReused => "idempotency_key_reused",
             Self::ImportNotAllowed => "import_not_allowed",
             Self::ImportNotFound { .. } => "import_not_found",
+            Self::GrownTooOften { .. } => "grown_too_often",
+            Self::GrowthOvertaken { .. } => "growth_overtaken",
+            Self::VersionsApart { .. } => "versions_apart",
+            Self::NoVersion { .. } => "no_version",
+            Self::ScansApart { .. } => "scans_apart",
             Self::Overloaded | Self::TooMany { .. } => "overloaded",
             Self::UploadTooSlow { .. } => "upload_too_slow",
             Self::UploadTooLarge { .. } => "upload_too_large",
             Self::UploadInterrupted { .. } => "upload_interrupted",
+            Self::UploadNotFound { .. } => "upload_not_found",
+            Self::UploadExpired { .. } => "upload_expired",
+            Self::UploadBusy { .. } => "upload_busy",
+            Self::WrongOffset { .. } => "upload_offset_wrong",
+            Self::ChecksumMismatch => "checksum_mismatch",
+            Self::TooManyUploads { .. } => "too_many_uploads",
             Self::Store(_) | Self::Io(_) | Self::AnswerNotKept => "storage_failed",
             Self::DiskNearlyFull { .. } => "storage_full",
             Self::Background(_) => "internal",
         }
+    }
+}
+
+/// Stable code of what is wrong with an upload.
+fn code_of_import(error: &IngestError) -> &'static str {
+    match error.cause() {
+        IngestError::ArchiveUnreadable { .. } => "archive_unreadable",
+        IngestError::UnsafeEntry { .. } => "archive_entry_unsafe",
+        IngestError::ArchiveTooLarge { .. } => "archive_too_large",
+        IngestError::UnknownLayout { .. } => "unknown_layout",
+        // Of many damaged frames the first one's cause stands for all, so the second is never met here.
+        IngestError::Malformed { .. } | IngestError::TooManyDamaged { .. } => "scene_file_malformed",
+        IngestError::MissingFile { .. } => "scene_file_missing",
+        IngestError::MissingIntrinsics { .. } => "intrinsics_missing",
+        IngestError::BadIntrinsics { .. } => "intrinsics_invalid",
+        IngestError::FrameCountMismatch { .. } => "frame_count_mismatch",
+        IngestError::BadPose { .. } => "pose_invalid",
+        IngestError::EmptyCloud { .. } => "cloud_empty",
+        IngestError::EmptyScene => "scene_empty",
+        IngestError::NoUsableFrames { .. } => "no_usable_frames",
+        IngestError::Frame(_) => "frame_unreadable",
+        IngestError::NothingFits { .. } => "convention_mismatch",
+        IngestError::DoesNotBelong { .. } => "frames_do_not_fit",
+        IngestError::IncompleteLayout { .. } => "layout_incomplete",
+        IngestError::UpUnknown { .. } => "up_unknown",
+        IngestError::Io { .. } => "storage_failed",
+        IngestError::Cancelled(_) => "cancelled",
     }
 }

@@ -1,14 +1,18 @@
 #!/usr/bin/env python3
 """A ScanNet scene as uniground takes it: SCENE.zip, and SCENE.scene.json with its annotated objects.
 
-usage: scannet_scene.py SCAN_FOLDER OUT_FOLDER [--every N]
+usage: scannet_scene.py SCAN_FOLDER OUT_FOLDER [--every N] [--scan-only]
 
-SCAN_FOLDER is scans/sceneXXXX_YY with the .sens file exported beside the rest:
-    color/0.jpg …  depth/0.png …  pose/0.txt …  intrinsic/intrinsic_color.txt  intrinsic/intrinsic_depth.txt
-    sceneXXXX_YY_vh_clean_2.ply  sceneXXXX_YY_vh_clean_2.0.010000.segs.json  sceneXXXX_YY.aggregation.json  sceneXXXX_YY.txt
+SCAN_FOLDER is scans/sceneXXXX_YY as downloaded:
+    sceneXXXX_YY.sens, or what SensReader exports from it: color/0.jpg …  depth/0.png …  pose/0.txt …
+        intrinsic/intrinsic_color.txt  intrinsic/intrinsic_depth.txt
+    sceneXXXX_YY_vh_clean_2.ply                                             the cloud; without it, it is fused from the frames
+    sceneXXXX_YY_vh_clean_2.0.010000.segs.json  sceneXXXX_YY.aggregation.json          the objects
+    sceneXXXX_YY.txt                                                        the axis alignment
 
 Cloud, poses and boxes are brought into the axis-aligned world of the benchmarks. A box holds the aligned vertices of its
-segments, as ScanRefer makes them; an object's id is its objectId. Only Python's standard library is needed.
+segments, as ScanRefer makes them; an object's id is its objectId. Scenes without annotations (the test set) and --scan-only, for
+boxes from elsewhere (embodiedscan_boxes.py), give SCENE.zip alone. Only Python's standard library is needed.
 """
 import argparse
 import json
@@ -18,24 +22,8 @@ import struct
 import zipfile
 from pathlib import Path
 
-PLY_TYPES = {"char": "b", "uchar": "B", "uint8": "B", "short": "h", "ushort": "H", "int": "i", "uint": "I", "float": "f",
-             "float32": "f", "double": "d"}
-
-
-def read_matrix(file):
-    """The 4x4 matrix of a text file, by rows."""
-    numbers = [float(word) for word in file.read_text().split()]
-    if len(numbers) != 16:
-        raise SystemExit(f"{file}: expected 16 numbers, found {len(numbers)}")
-    return [numbers[i:i + 4] for i in range(0, 16, 4)]
-
-
-def product(a, b):
-    return [[sum(a[i][k] * b[k][j] for k in range(4)) for j in range(4)] for i in range(4)]
-
-
-def moved(m, p):
-    return [m[i][0] * p[0] + m[i][1] * p[1] + m[i][2] * p[2] + m[i][3] for i in range(3)]
+from scan_files import Tally, archive, moved, need, numbers_of, product, read_json, read_ply, rows, write_objects
+from sens import Sens, camera
 
 
 def axis_alignment(file):
@@ -45,52 +33,26 @@ def axis_alignment(file):
     if len(numbers) != 16:
         print(f"{file}: no axisAlignment, the scene stays as it is")
         return [[float(i == j) for j in range(4)] for i in range(4)]
-    return [numbers[i:i + 4] for i in range(0, 16, 4)]
+    return rows(numbers)
 
 
-def read_vertices(file):
-    """Positions and colours of a binary little-endian PLY."""
-    data = file.read_bytes()
-    end = data.index(b"end_header\n") + len(b"end_header\n")
-    header = data[:end].decode("ascii").split("\n")
-    if "format binary_little_endian 1.0" not in header:
-        raise SystemExit(f"{file}: expected a binary little-endian PLY")
-    properties, count, element = [], 0, None
-    for line in header:
-        words = line.split()
-        if words[:1] == ["element"]:
-            element = words[1]
-            count = int(words[2]) if element == "vertex" else count
-        elif words[:1] == ["property"] and element == "vertex":
-            properties.append((words[2], PLY_TYPES[words[1]]))
-    names = [name for name, _ in properties]
-    at = [names.index(name) for name in ("x", "y", "z", "red", "green", "blue")]
-    row = struct.Struct("<" + "".join(code for _, code in properties))
-    vertices = [[values[i] for i in at] for values in row.iter_unpack(data[end:end + count * row.size])]
-    return vertices
-
-
-def objects_of(folder, scene, positions):
-    """One record per annotated object."""
-    segments_file = folder / f"{scene}_vh_clean_2.0.010000.segs.json"
-    groups_file = folder / f"{scene}.aggregation.json"
-    segment_of = json.loads(segments_file.read_text())["segIndices"]
-    if len(segment_of) != len(positions):
-        raise SystemExit(f"{segments_file}: {len(segment_of)} vertices, the mesh has {len(positions)}")
-    points_of = {}
-    for vertex, segment in enumerate(segment_of):
-        points_of.setdefault(segment, []).append(vertex)
-    objects = []
-    for group in json.loads(groups_file.read_text())["segGroups"]:
-        points = [positions[v] for segment in group["segments"] for v in points_of.get(segment, [])]
-        if not points:
-            print(f"{groups_file}: object {group['objectId']} has no points")
-            continue
-        low, high = ([round(f(p[i] for p in points), 4) for i in range(3)] for f in (min, max))
-        colour = [round(sum(p[3 + i] for p in points) / len(points), 1) for i in range(3)]
-        objects.append({"id": group["objectId"], "name": group["label"], "min": low, "max": high,
-                        "cloud_points": len(points), "mean_rgb": colour})
-    return sorted(objects, key=lambda o: o["id"])
+def annotations(folder, scene):
+    """Name of each object, and the objects of each vertex; None where the scene is not annotated."""
+    files = [folder / f"{scene}_vh_clean_2.0.010000.segs.json", folder / f"{scene}.aggregation.json"]
+    missing = [file.name for file in files if not file.is_file()]
+    if missing:
+        print(f"{folder}: no {' and no '.join(missing)}: the scan is written without its objects")
+        return None
+    segments, groups = (read_json(file) for file in files)
+    names, objects_of = {}, {}
+    try:
+        for group in groups["segGroups"]:
+            names[group["objectId"]] = group["label"]
+            for segment in group["segments"]:
+                objects_of.setdefault(segment, []).append(group["objectId"])
+        return names, [objects_of.get(segment, ()) for segment in segments["segIndices"]]
+    except (KeyError, TypeError) as error:
+        raise SystemExit(f"{folder}: {' or '.join(file.name for file in files)} is no annotation of ScanNet: {error!r}") from None
 
 
 def picture_size(file):
@@ -108,40 +70,61 @@ def picture_size(file):
     raise SystemExit(f"{file}: neither JPEG nor PNG")
 
 
-def intrinsics(file, picture):
-    m = read_matrix(file)
-    width, height = picture_size(picture)
-    return {"width": width, "height": height, "fx": m[0][0], "fy": m[1][1], "cx": m[0][2], "cy": m[1][2]}
+class Exported:
+    """The folders that ScanNet's SensReader writes."""
+    ending = "jpg"
+
+    def __init__(self, folder, every):
+        self.folder = folder
+        self.numbers = sorted(int(file.stem) for file in (folder / "color").glob("*.jpg"))[::every]
+        if not self.numbers:
+            raise SystemExit(f"{folder / 'color'}: no pictures")
+        first = self.numbers[0]
+        self.cameras = {"depth_scale_m": 0.001}
+        for key, name, picture in (("intrinsics", "color", f"color/{first}.jpg"), ("depth_intrinsics", "depth", f"depth/{first}.png")):
+            file, picture = folder / f"intrinsic/intrinsic_{name}.txt", need(folder / picture, "export the .sens file again")
+            self.cameras[key] = camera(rows(numbers_of(need(file, "export the .sens file again"), 16)), *picture_size(picture))
+
+    def frames(self):
+        for number in self.numbers:
+            files = [self.folder / f"color/{number}.jpg", self.folder / f"depth/{number}.png", self.folder / f"pose/{number}.txt"]
+            colour, depth, pose = (need(file, "export the .sens file again") for file in files)
+            yield number, colour.read_bytes(), depth.read_bytes(), rows(numbers_of(pose, 16))
 
 
-def write_archive(folder, archive, aligned, positions, every):
-    frames = sorted((int(f.stem) for f in (folder / "color").glob("*.jpg")))[::every]
-    if not frames:
-        raise SystemExit(f"{folder / 'color'}: no pictures; export the .sens file first")
-    first = frames[0]
-    manifest = {
-        "format": "uniground-scene/1", "name": folder.name, "up": "z", "cloud": "cloud.ply",
-        "intrinsics": intrinsics(folder / "intrinsic/intrinsic_color.txt", folder / f"color/{first}.jpg"),
-        "depth_intrinsics": intrinsics(folder / "intrinsic/intrinsic_depth.txt", folder / f"depth/{first}.png"),
-        "depth_scale_m": 0.001, "camera_axes": "opencv", "pose": "camera_to_world", "frames": [],
-    }
-    with zipfile.ZipFile(archive, "w", zipfile.ZIP_STORED) as out:
-        for frame in frames:
-            pose = read_matrix(folder / f"pose/{frame}.txt")
-            # A lost pose holds infinities and stays as it is: the importer counts and skips it.
-            if all(math.isfinite(v) for row in pose for v in row):
-                pose = product(aligned, pose)
-            out.writestr(f"pose/{frame}.txt", "\n".join(" ".join(f"{v:.9g}" for v in row) for row in pose) + "\n")
-            out.write(folder / f"color/{frame}.jpg", f"color/{frame}.jpg")
-            out.write(folder / f"depth/{frame}.png", f"depth/{frame}.png")
-            manifest["frames"].append({"color": f"color/{frame}.jpg", "depth": f"depth/{frame}.png", "pose": f"pose/{frame}.txt"})
-        header = ("ply\nformat binary_little_endian 1.0\n" f"element vertex {len(positions)}\n"
-                  + "".join(f"property float {c}\n" for c in "xyz")
-                  + "".join(f"property uchar {c}\n" for c in ("red", "green", "blue")) + "end_header\n")
-        body = b"".join(struct.pack("<3f3B", *p) for p in positions)
-        out.writestr("cloud.ply", header.encode() + body, zipfile.ZIP_DEFLATED)
-        out.writestr("scene.json", json.dumps(manifest, indent=1), zipfile.ZIP_DEFLATED)
-    return len(frames)
+def write_cloud(out, mesh, aligned, owners, objects):
+    """Writes the aligned vertices, and tallies those of each object."""
+    count, vertices = read_ply(mesh)
+    if owners is not None and len(owners) != count:
+        raise SystemExit(f"{mesh}: {count} vertices, its segs.json has {len(owners)}")
+    header = (f"ply\nformat binary_little_endian 1.0\nelement vertex {count}\n" + "".join(f"property float {c}\n" for c in "xyz")
+              + "".join(f"property uchar {c}\n" for c in ("red", "green", "blue")) + "end_header\n")
+    entry = zipfile.ZipInfo("cloud.ply")
+    entry.compress_type = zipfile.ZIP_DEFLATED
+    with out.open(entry, "w", force_zip64=True) as cloud:
+        cloud.write(header.encode())
+        for vertex, (position, colour) in enumerate(vertices):
+            position, colour = moved(aligned, position), colour or (128, 128, 128)
+            cloud.write(struct.pack("<3f3B", *position, *colour))
+            for owner in owners[vertex] if owners is not None else ():
+                objects.setdefault(owner, Tally()).add(position, colour)
+    return count
+
+
+def write_frames(out, source, aligned, name, cloud):
+    manifest = {"format": "uniground-scene/1", "name": name, "up": "z", **({"cloud": "cloud.ply"} if cloud else {}), **source.cameras,
+                "camera_axes": "opencv", "pose": "camera_to_world", "frames": []}
+    for number, colour, depth, pose in source.frames():
+        # A lost pose holds infinities and stays as it is: the importer counts and skips it.
+        if all(math.isfinite(v) for row in pose for v in row):
+            pose = product(aligned, pose)
+        entries = {"color": f"color/{number}.{source.ending}", "depth": f"depth/{number}.png", "pose": f"pose/{number}.txt"}
+        out.writestr(entries["pose"], "\n".join(" ".join(f"{v:.9g}" for v in row) for row in pose) + "\n")
+        out.writestr(entries["color"], colour)
+        out.writestr(entries["depth"], depth)
+        manifest["frames"].append(entries)
+    out.writestr("scene.json", json.dumps(manifest, indent=1), zipfile.ZIP_DEFLATED)
+    return len(manifest["frames"])
 
 
 def main():
@@ -149,16 +132,34 @@ def main():
     parser.add_argument("scan", type=Path)
     parser.add_argument("out", type=Path)
     parser.add_argument("--every", type=int, default=1, help="take every N-th frame")
+    parser.add_argument("--scan-only", action="store_true", help="leave the objects out: boxes come from elsewhere")
     args = parser.parse_args()
     folder, scene = args.scan.resolve(), args.scan.resolve().name
+    sens, mesh = folder / f"{scene}.sens", folder / f"{scene}_vh_clean_2.ply"
+    if (folder / "color").is_dir():
+        source = Exported(folder, max(1, args.every))
+    else:
+        source = Sens(need(sens, f"download it with ScanNet's download-scannet.py --id {scene} --type .sens"), max(1, args.every))
+    annotated = None if args.scan_only else annotations(folder, scene)
+    if annotated or mesh.is_file():
+        need(mesh, f"download it with ScanNet's download-scannet.py --id {scene} --type _vh_clean_2.ply, or give --scan-only")
+    else:
+        print(f"{mesh}: missing, the cloud is fused from the frames")
     args.out.mkdir(parents=True, exist_ok=True)
     aligned = axis_alignment(folder / f"{scene}.txt")
-    positions = [moved(aligned, v[:3]) + v[3:] for v in read_vertices(folder / f"{scene}_vh_clean_2.ply")]
-    objects = objects_of(folder, scene, positions)
-    frames = write_archive(folder, args.out / f"{scene}.zip", aligned, positions, max(1, args.every))
-    lines = ",\n".join("  " + json.dumps(o) for o in objects)
-    (args.out / f"{scene}.scene.json").write_text(f'{{\n "name": "{scene}",\n "objects": [\n{lines}\n ]\n}}\n')
-    print(f"{scene}: {frames} frames, {len(positions)} points, {len(objects)} objects")
+    names, owners = annotated or ({}, None)
+    tallies, points = {}, 0
+    with archive(args.out / f"{scene}.zip") as out:
+        if mesh.is_file():
+            points = write_cloud(out, mesh, aligned, owners, tallies)
+        frames = write_frames(out, source, aligned, scene, mesh.is_file())
+    for identity in sorted(names.keys() - tallies.keys()):
+        print(f"{folder / scene}.aggregation.json: object {identity} has no points")
+    if annotated:
+        write_objects(args.out / f"{scene}.scene.json", scene, [
+            {"id": identity, "name": names[identity], "min": [round(v, 4) for v in tally.low], "max": [round(v, 4) for v in tally.high],
+             **tally.facts()} for identity, tally in sorted(tallies.items())])
+    print(f"{scene}: {frames} frames, {points} points, {len(tallies)} objects")
 
 
 if __name__ == "__main__":

@@ -1,13 +1,14 @@
-import { readFileSync } from "node:fs";
+import { existsSync, readFileSync } from "node:fs";
 import { defineConfig } from "vite";
 
 /** What of others is in the page: their licences go along. */
-const CARRIED = ["three", "preact", "@preact/signals", "@preact/signals-core"];
+const CARRIED = ["three", "preact", "@preact/signals", "@preact/signals-core", "tus-js-client", "js-base64", "url-parse", "querystringify", "requires-port"];
+const licenceOf = (name) => ["LICENSE", "LICENSE.md"].map((file) => `node_modules/${name}/${file}`).find(existsSync);
 
 const licences = {
   name: "licences",
   generateBundle() {
-    const source = CARRIED.map((name) => `${name}\n\n${readFileSync(`node_modules/${name}/LICENSE`, "utf8").trim()}\n`).join("\n\n");
+    const source = CARRIED.map((name) => `${name}\n\n${readFileSync(licenceOf(name), "utf8").trim()}\n`).join("\n\n");
     this.emitFile({ type: "asset", name: "licences.txt", source });
   },
 };
@@ -18,6 +19,8 @@ const server = process.env.UNIGROUND_URL ?? "http://127.0.0.1:8080";
 
 export default defineConfig({
   plugins: [licences],
+  // Its sources: what it offers first is written for browsers of ten years ago.
+  resolve: { alias: { "tus-js-client": "tus-js-client/lib/browser/index.js" } },
   server: { proxy: { "/v1": server, "/docs": server, "/openapi.json": server, "/readyz": server } },
   build: {
     target: "es2022",

@@ -8,7 +8,7 @@ use uniground_core::progress::Progress;
 use uniground_types::settings::ImportSettings;
 
 /// The file that is fuzzed, and honest ones beside it.
-const LAYOUTS: [(&str, &[(&str, &str)]); 14] = [
+const LAYOUTS: [(&str, &[(&str, &str)]); 17] = [
     ("rgb.txt", &[("depth.txt", "1 depth/1.png\n"), ("groundtruth.txt", "1 0 0 0 0 0 0 1\n")]),
     ("groundtruth.txt", &[("rgb.txt", "1 rgb/1.png\n"), ("depth.txt", "1 depth/1.png\n")]),
     ("transforms.json", &[]),
@@ -23,6 +23,9 @@ const LAYOUTS: [(&str, &[(&str, &str)]); 14] = [
     ("_info.txt", &[("frame-1.pose.txt", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n")]),
     ("trajectory.log", &[("intrinsic.txt", "2 0 1\n0 2 1\n0 0 1\n")]),
     ("scan_calib/1.yaml", &[("scan_camera_poses.txt", "1 0 0 0 0 0 0 1\n")]),
+    ("scan_camera_poses.txt", &[("scan_calib/1.yaml", "image_width: 4\nimage_height: 4\ncamera_matrix:\n  data: [ 2., 0., 1., 0., 2., 1., 0., 0., 1. ]\n")]),
+    ("scene0000_00.txt", &[("intrinsic/intrinsic_color.txt", "2 0 1\n0 2 1\n0 0 1\n"), ("pose/1.txt", "1 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1\n")]),
+    ("camera_intrinsic.json", &[("trajectory.log", "0 0 1\n1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")]),
 ];
 const COLOURS: [&str; 10] = [
     "rgb/1.png", "images/1.png", "keyframes/images/1.png", "rgbd/0.jpg", "lowres_wide/1.png", "results/frame1.png", "frame_1.png",
@@ -57,10 +60,11 @@ fuzz_target!(|data: &[u8]| {
         "keyframes" => other.starts_with("keyframes/"),
         "metadata" => other.starts_with("rgbd/"),
         "lowres" => other.starts_with("lowres"),
+        "camera" => other.starts_with("color/") || other.starts_with("depth/"),
         "traj" | "cam" => other.starts_with("results/"),
         "frame" => other.starts_with("frame_") || other.starts_with("depth_"),
         "" => other.starts_with("frame-"),
-        "trajectory" => other.starts_with("color/") || other.starts_with("depth/"),
+        "trajectory" | "scene0000" => other.starts_with("color/") || other.starts_with("depth/"),
         _ => other.starts_with("scan_"),
     };
     COLOURS.iter().filter(|other| own(other)).for_each(|other| put(other, &colour));

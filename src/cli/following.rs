@@ -14,6 +14,7 @@ use std::time::Duration;
 use tokio_util::io::ReaderStream;
 use uniground_client::{Client, ClientError};
 use uniground_types::job::{Job, JobState};
+use uniground_types::placement::FrameChoice;
 use uniground_types::scenes::Created;
 
 const SENDING: &str = "{bar:40} {percent:>3}%  {msg:<20} {bytes} of {total_bytes}, {eta} left";
@@ -27,6 +28,18 @@ pub async fn send(client: &Client, scan: &ScanFile, query: &[(&str, &str)]) -> a
     let (file, bytes) = scan.bytes()?;
     let bar = bar(bytes, SENDING).with_message("uploading");
     let sent = client.upload(reqwest::Body::wrap(Sent::of(file, bytes, bar.clone())), query).await;
+    bar.finish_and_clear();
+    Ok(sent?)
+}
+
+/// Adds a scan's frames to a scene.
+///
+/// # Errors
+/// A file that can not be read, [`ClientError`].
+pub async fn add(client: &Client, scan: &ScanFile, scene_id: &str, world: FrameChoice) -> anyhow::Result<Created> {
+    let (file, bytes) = scan.bytes()?;
+    let bar = bar(bytes, SENDING).with_message("uploading");
+    let sent = client.add_frames(scene_id, world, reqwest::Body::wrap(Sent::of(file, bytes, bar.clone()))).await;
     bar.finish_and_clear();
     Ok(sent?)
 }

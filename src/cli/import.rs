@@ -5,11 +5,12 @@ mod page;
 
 use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
+use serde::Serialize;
 use std::fs;
 use std::io::{self, Write};
 use std::time::Instant;
 use uniground_core::geometry::boxes::Aabb;
-use uniground_core::ingest::{self, Inspected, Unpacked};
+use uniground_core::ingest::{self, Inspected, Neighbours, Unpacked};
 use uniground_core::progress::Progress;
 use uniground_core::render::{Orbit, ROOM_VIEW, RenderScene, jpeg, scene_picture};
 use uniground_core::scene::{FrameRef, ImportReport, PointCloud};
@@ -49,7 +50,26 @@ struct Imported {
     frames: Vec<FrameRef>,
     /// `None`: only looked at, and it has no cloud of its own.
     cloud: Option<PointCloud>,
+    /// How well frames agree with the next; `None` where they do not overlap.
+    neighbours: Option<Neighbours>,
     seconds: f32,
+}
+
+/// What is written as JSON: the report a scene keeps, and what is looked at here only.
+#[derive(Serialize)]
+struct Told<'a> {
+    #[serde(flatten)]
+    report: &'a ImportReport,
+    neighbours: Option<Neighbours>,
+    /// Full extent of the cloud, metres.
+    extent_m: Option<[f32; 3]>,
+}
+
+impl<'a> Told<'a> {
+    fn of(imported: &'a Imported) -> Self {
+        let extent = imported.cloud.as_ref().and_then(|cloud| Aabb::around(&cloud.positions));
+        Self { report: &imported.report, neighbours: imported.neighbours, extent_m: extent.map(|extent| extent.size.into()) }
+    }
 }
 
 pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
@@ -69,7 +89,8 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
         let bundle = ingest::load(&scan, &settings, &Progress::silent())?;
         Inspected { frames: bundle.frames, cloud: Some(bundle.cloud), report: bundle.report }
     };
-    let imported = Imported { report, frames, cloud, seconds: begun.elapsed().as_secs_f32() };
+    let neighbours = ingest::neighbours(&frames);
+    let imported = Imported { report, frames, cloud, neighbours, seconds: begun.elapsed().as_secs_f32() };
     if let Some(out) = &args.report {
         write_report(out, &args.scan, &imported)?;
     }
@@ -78,14 +99,14 @@ pub fn run(args: &ImportArgs) -> anyhow::Result<()> {
     }
     let mut stdout = io::stdout().lock();
     match args.json {
-        true => writeln!(stdout, "{}", serde_json::to_string_pretty(&imported.report)?)?,
+        true => writeln!(stdout, "{}", serde_json::to_string_pretty(&Told::of(&imported))?)?,
         false => summary(&imported).iter().try_for_each(|(what, value)| writeln!(stdout, "{what:<12} {value}"))?,
     }
     Ok(())
 }
 
 /// What a person wants to know, a line each.
-fn summary(Imported { report, cloud, seconds, .. }: &Imported) -> Vec<(&'static str, String)> {
+fn summary(Imported { report, cloud, seconds, neighbours, .. }: &Imported) -> Vec<(&'static str, String)> {
     let mut lines = vec![("read as", format!("{} in {seconds:.1} s", report.format))];
     let skipped = if report.frames_skipped > 0 { format!(", {} skipped", report.frames_skipped) } else { String::new() };
     lines.push(("frames", format!("{}{skipped}", report.frames)));
@@ -94,6 +115,13 @@ fn summary(Imported { report, cloud, seconds, .. }: &Imported) -> Vec<(&'static 
             .reprojection_agreement
             .map_or("not to be told".into(), |a| format!("{:.0}% of the points in view", a * 100.0));
         lines.push(("depth fits", format!("{agreement} (poses {:?}, cameras {})", report.pose, report.camera_axes)));
+    }
+    if let Some(Neighbours { depth_error_m, drift_m, worst_drift_m, worst_after }) = neighbours {
+        let [error, drift, worst] = [depth_error_m, drift_m, worst_drift_m].map(|m| m * 1000.0);
+        lines.push((
+            "neighbours",
+            format!("depth differs by {error:.0} mm, poses drift by {drift:.0} mm from frame to frame; at most {worst:.0} mm, after frame {worst_after}"),
+        ));
     }
     let level = match &report.levelling {
         Some(level) if level.turned => format!("tilted by {:.1} degrees, turned level: {}", level.tilt_deg, level.evidence),
@@ -142,7 +170,7 @@ fn write_report(out: &Utf8Path, scan: &Utf8Path, imported: &Imported) -> anyhow:
         fs::write(out.join("frames.jpg"), jpeg(&sheet))?;
         pictures.push(("frames", "Frames over the scan"));
     }
-    fs::write(out.join("report.json"), serde_json::to_vec_pretty(&imported.report)?)?;
+    fs::write(out.join("report.json"), serde_json::to_vec_pretty(&Told::of(imported))?)?;
     fs::write(out.join("index.html"), page::render(scan, &summary(imported), &pictures))?;
     Ok(())
 }

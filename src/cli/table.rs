@@ -6,6 +6,7 @@ use jiff::Timestamp;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::{Alternative, Status};
 use uniground_types::answer::Answer;
+use uniground_types::changes::{ChangedThing, Changes, MovedThing};
 use uniground_types::instances::InstanceView;
 use uniground_types::keys::Key;
 use uniground_types::placement::{FrameChoice, InFrame, PlacedBox};
@@ -72,6 +73,30 @@ pub fn of_scenes(scenes: &[(&Scene, String)]) -> Table {
     // A part of an id that is broken in two can not be copied.
     if let Some(column) = table.column_mut(0) {
         column.set_constraint(ColumnConstraint::ContentWidth);
+    }
+    table
+}
+
+/// What changed in a scene, a row a thing.
+pub fn of_changes(changes: &Changes) -> Table {
+    let Changes { appeared, gone, moved, first_seen, not_seen, regrouped, unchanged: _ } = changes;
+    let mut table = empty();
+    table.set_header(vec!["Change", "ID", "Thing", "Box (m, Z up)"]);
+    let lists = [
+        ("appeared", appeared),
+        ("gone", gone),
+        ("first seen", first_seen),
+        ("not seen again", not_seen),
+        ("no thing of its own any more", regrouped),
+    ];
+    for MovedThing { before, after, distance_m } in moved {
+        let ids = if before.id == after.id { before.id.to_string() } else { format!("{} -> {}", before.id, after.id) };
+        table.add_row(vec![format!("moved by {distance_m:.2} m"), ids, after.label.clone(), of_box(&after.aabb)]);
+    }
+    for (change, things) in lists {
+        for ChangedThing { id, label, aabb } in things {
+            table.add_row(vec![change.to_owned(), id.to_string(), label.clone(), of_box(aabb)]);
+        }
     }
     table
 }

@@ -1,26 +1,40 @@
-//! `uniground upload`: a scan to a running server, and its parse.
+//! `uniground upload`: a scan to a running server, or more frames to a scene it has, and the parse.
 
 use super::output::print_json;
 use super::scan_file::ScanFile;
 use super::server::ServerArgs;
-use super::{choosing, following, hints};
+use super::{choosing, following, hints, table};
+use crate::words;
 use camino::Utf8PathBuf;
 use std::io::{self, Write};
 use std::time::Instant;
 use uniground_client::Client;
 use uniground_types::geometry::up_axis::UpAxis;
+use uniground_types::placement::FrameChoice;
 use uniground_types::scenes::Created;
 
 #[derive(Debug, clap::Args)]
 pub struct UploadArgs {
     /// A scan: a folder, an archive, a .sens or .r3d file, a cloud or a mesh
     scan: Utf8PathBuf,
+    /// A scene to add the scan's frames to, by name or id: what stays keeps its id, and what came, went and moved is told
+    #[arg(long, value_name = "SCENE", conflicts_with_all = ["name", "up", "metres_per_unit", "no_levelling"])]
+    to: Option<String>,
+    /// With --to: whose coordinates the poses are in, those of the files the scene was made of, the scene's, or those of the map it lies in
+    #[arg(long, requires = "to", default_value = "source", value_parser = words::frame())]
+    world: FrameChoice,
     /// What to call the scene [default: the file's name without its ending]
     #[arg(long)]
     name: Option<String>,
     /// The axis that points up in the scan: x, -x, y, -y, z or -z
     #[arg(long, allow_hyphen_values = true, value_parser = super::parse::up_axis)]
     up: Option<UpAxis>,
+    /// Length of one unit of the scan's cloud and poses, metres
+    #[arg(long, value_name = "METRES")]
+    metres_per_unit: Option<f64>,
+    /// Leave a tilted world tilted
+    #[arg(long)]
+    no_levelling: bool,
     /// Do not wait for the parse
     #[arg(long)]
     no_wait: bool,
@@ -33,7 +47,31 @@ pub struct UploadArgs {
 
 pub async fn run(args: &UploadArgs) -> anyhow::Result<()> {
     let client = args.server.client()?;
-    upload(&client, args).await.map_err(|error| hints::of_scan(error, &args.scan))
+    let done = match &args.to {
+        Some(scene) => add(&client, scene, args).await,
+        None => upload(&client, args).await,
+    };
+    done.map_err(|error| hints::of_scan(error, &args.scan))
+}
+
+/// More frames for a scene that is there.
+async fn add(client: &Client, scene: &str, args: &UploadArgs) -> anyhow::Result<()> {
+    let id = choosing::id_of(client, scene).await?;
+    let before = client.scene(&id).await?;
+    let file = ScanFile::open(&args.scan)?;
+    let sent = following::add(client, &file, &id, args.world).await;
+    let Created { scene, job } = sent.map_err(|error| error.context(format!("nothing was added to {}", before.name)))?;
+    let Some(job) = job.filter(|_| !args.no_wait) else {
+        return if args.json { print_json(&scene) } else { Ok(writeln!(io::stdout(), "{id}")?) };
+    };
+    let told = following::outcome(&following::follow(client, &job.id).await?)?;
+    eprintln!("parsed: {told}");
+    let changes = client.changes_since(&id, before.parse_version).await?;
+    match (args.json, changes.changes.is_empty()) {
+        (true, _) => print_json(&changes),
+        (false, true) => Ok(writeln!(io::stdout(), "nothing changed: {} things as before", changes.changes.unchanged)?),
+        (false, false) => Ok(writeln!(io::stdout(), "{}", table::of_changes(&changes.changes))?),
+    }
 }
 
 /// The id goes to standard output, and everything for people to stderr: `scene=$(uniground upload room.zip)`.
@@ -41,7 +79,10 @@ async fn upload(client: &Client, args: &UploadArgs) -> anyhow::Result<()> {
     let file = ScanFile::open(&args.scan)?;
     let name = args.name.as_deref().unwrap_or(&file.name);
     let up = args.up.map(|up| ("up", up.name()));
-    let query: Vec<(&str, &str)> = [("name", name)].into_iter().chain(up).collect();
+    let metres_per_unit = args.metres_per_unit.map(|metres| metres.to_string());
+    let metres_per_unit = metres_per_unit.as_deref().map(|metres| ("metres_per_unit", metres));
+    let levelling = args.no_levelling.then_some(("levelling", "off"));
+    let query: Vec<(&str, &str)> = [("name", name)].into_iter().chain(up).chain(metres_per_unit).chain(levelling).collect();
     let Created { scene, job } = following::send(client, &file, &query).await?;
     let begun = Instant::now();
     let (is_awaited, job) = (!args.no_wait, job.filter(|job| !job.state.is_final()));

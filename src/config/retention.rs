@@ -26,6 +26,9 @@ pub struct RetentionConfig {
     /// Days for which a parse is kept that no scene and no answer refers to any more; 0: as long as its scan
     #[arg(long, env = "UNIGROUND_KEEP_SUPERSEDED_DAYS", default_value_t = Retention::default().superseded_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_superseded_days: u32,
+    /// Days for which an upload that comes in parts waits for the next one, and for which it is told what came of it; 0: for ever
+    #[arg(long, env = "UNIGROUND_KEEP_UPLOADS_DAYS", default_value_t = Retention::default().uploads_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
+    pub keep_uploads_days: u32,
     /// Days for which finished stages of parses are kept that no parse uses; 0: as long as their scan
     #[arg(long, env = "UNIGROUND_KEEP_CHECKPOINTS_DAYS", default_value_t = Retention::default().checkpoints_days, value_name = "DAYS", value_parser = clap::value_parser!(u32).range(..=36_500))]
     pub keep_checkpoints_days: u32,
@@ -44,6 +47,7 @@ impl Default for RetentionConfig {
             idempotency_days,
             audit_days,
             superseded_days,
+            uploads_days,
             checkpoints_days,
             checkpoints_bytes,
             quarantine_days: _,
@@ -56,6 +60,7 @@ impl Default for RetentionConfig {
             keep_idempotency_days: idempotency_days,
             keep_audit_days: audit_days,
             keep_superseded_days: superseded_days,
+            keep_uploads_days: uploads_days,
             keep_checkpoints_days: checkpoints_days,
             max_checkpoints_bytes: checkpoints_bytes,
         }
@@ -73,6 +78,7 @@ impl RetentionConfig {
             idempotency_days: self.keep_idempotency_days,
             audit_days: self.keep_audit_days,
             superseded_days: self.keep_superseded_days,
+            uploads_days: self.keep_uploads_days,
             checkpoints_days: self.keep_checkpoints_days,
             checkpoints_bytes: self.max_checkpoints_bytes,
             ..Retention::default()

@@ -45,7 +45,7 @@ impl AnnotatedRoom {
             &ImportSettings { levelling: LevellingChoice::Off, ..ImportSettings::default() },
             &Progress::silent(),
         )?;
-        let truth = annotations.label(&bundle.cloud);
+        let truth = annotations.label(&bundle.cloud).into_iter().map(Option::unwrap_or_default).collect();
         Ok(Self { bundle, truth, annotations: Arc::new(annotations), turned_deg: 0.0 })
     }
 
@@ -106,32 +106,27 @@ impl Annotations {
             .collect()
     }
 
-    /// The annotated id of each point of a cloud: as annotated when it is the room's own, else by the annotated boxes.
-    pub(super) fn label(&self, cloud: &PointCloud) -> Vec<u32> {
+    /// The annotated id of each point of a cloud, where it has one: as annotated when it is the room's own, else by the annotated boxes. Data
+    /// sets have objects of number 0.
+    pub(super) fn label(&self, cloud: &PointCloud) -> Vec<Option<u32>> {
         match &self.of_point {
-            Some(of_point) if of_point.len() == cloud.len() => of_point.clone(),
+            Some(of_point) if of_point.len() == cloud.len() => of_point.iter().map(|&id| (id != 0).then_some(id)).collect(),
             _ => cloud.positions.iter().map(|p| self.at(p, 0.02)).collect(),
         }
     }
 
-    /// The object at a place that was measured with an error of about `noise_m`; 0 when no box is near.
+    /// The object at a place that was measured with an error of about `noise_m`; `None` when no box is near.
     ///
     /// Of all boxes that hold the place the smallest wins: a cup in a shelf is no shelf. What lies on a floor or wall belongs to
     /// it, unless the box is a flat one that lies there too (rugs, pictures) or is let into it (windows, doors).
-    fn at(&self, p: &Point3<f32>, noise_m: f32) -> u32 {
+    fn at(&self, p: &Point3<f32>, noise_m: f32) -> Option<u32> {
         let holding = |slack: f32| self.objects.iter().filter(move |o| o.distance(p) <= slack);
         let smallest = holding(noise_m).min_by(|a, b| a.volume().total_cmp(&b.volume()));
         let structural = holding(noise_m).find(|o| o.structure().is_some());
         match (smallest, structural) {
-            (Some(object), Some(structure)) => {
-                if object.is_part_of(structure) {
-                    object.id
-                } else {
-                    structure.id
-                }
-            }
-            (Some(object), None) => object.id,
-            (None, _) => 0,
+            (Some(object), Some(structure)) => Some(if object.is_part_of(structure) { object.id } else { structure.id }),
+            (Some(object), None) => Some(object.id),
+            (None, _) => None,
         }
     }
 
@@ -188,7 +183,7 @@ pub struct AnnotatedMasks {
 impl AnnotatedMasks {
     fn at(&self, p: &Point3<f32>, z_m: f32) -> u32 {
         if self.near.is_empty() {
-            return self.annotations.at(p, 0.01 + 0.003 * z_m * z_m);
+            return self.annotations.at(p, 0.01 + 0.003 * z_m * z_m).unwrap_or_default();
         }
         let center = VoxelKey::of(p, NEAR_M);
         let mut best = (NEAR_M * NEAR_M, 0);
@@ -220,5 +215,21 @@ impl MaskSource for AnnotatedMasks {
         };
         let ids = (0..height).flat_map(|v| (0..width).map(move |u| (u, v))).map(|(u, v)| at(u, v)).collect();
         Ok(vec![IdImage { width, height, ids }])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// `ScanNet` counts from 0: what belongs to nothing is not its object 0.
+    #[test]
+    fn a_point_of_no_object_is_not_of_object_zero() {
+        let boxes = [-1.0, 1.0].map(|x| ("box".to_owned(), Aabb { center: Point3::new(x, 0.0, 0.0), size: Vector3::new(1.0, 1.0, 1.0) }));
+        let mut annotations = Annotations::named(&boxes);
+        annotations.objects.iter_mut().for_each(|object| object.id -= 1);
+        let positions = vec![Point3::new(-1.0, 0.0, 0.0), Point3::new(1.0, 0.0, 0.0), Point3::new(9.0, 0.0, 0.0)];
+        let cloud = PointCloud { colours: vec![[0; 3]; 3], positions };
+        assert_eq!(annotations.label(&cloud), [Some(0), Some(1), None]);
     }
 }

@@ -1,6 +1,7 @@
 //! The OpenAPI description: what is true of every operation is said here once.
 
 use super::auth::BearerAuth;
+use super::problem::title_of;
 use axum::http::{StatusCode, header};
 use serde_json::json;
 use utoipa::OpenApi;
@@ -18,6 +19,7 @@ use utoipa::openapi::{Content, Header, Ref, RefOr, Response, ResponseBuilder, Sc
     servers((url = "/", description = "The server that tells this")),
     tags(
         (name = "scenes", description = "Scans and their parses"),
+        (name = "uploads", description = "Scans that come in parts"),
         (name = "instances", description = "Objects found in a scene"),
         (name = "grounding", description = "Questions and answers"),
         (name = "agents", description = "The same for language models"),
@@ -60,6 +62,16 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
             "scene_not_ready",
             "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
         ),
+        "410" => problem(
+            "It is over",
+            "upload_expired",
+            "upload 01a1ff70-0000-7000-8000-000000000001 was not gone on with for too long: begin a new one",
+        ),
+        "412" => problem(
+            "Another version of tus",
+            "tus_version_unknown",
+            "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0",
+        ),
         "413" => problem("The body is too large", "body_too_large", "a JSON body has at most 1048576 bytes"),
         "415" => problem(
             "Another content type is wanted",
@@ -69,7 +81,17 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
         "416" => Some(("The file has no such part", None)),
         "421" => problem("The server is called by a name that is not its own", "host_not_allowed", "this server is not evil.example"),
         "422" => problem("A field or parameter makes no sense", "invalid_request", "/top_k: must be 1 to 100"),
+        "423" => problem(
+            "Somebody is at work on it",
+            "upload_busy",
+            "somebody is sending to upload 01a1ff70-0000-7000-8000-000000000001, or it is being made a scene: ask for its offset when that is over",
+        ),
         "429" => problem("Too much at once: again after `Retry-After`", "rate_limited", "this key asks too often: try again in 12 s"),
+        "460" => problem(
+            "The checksum is of other bytes",
+            "checksum_mismatch",
+            "what has come is not what the checksum is of: send this part again",
+        ),
         "502" => problem(
             "A model failed",
             "vlm_unavailable",
@@ -89,8 +111,9 @@ fn meaning(status: &str) -> Option<(&'static str, Option<(&'static str, &'static
 /// Says of every operation what its own attributes leave out: what its statuses mean, with examples, and what any request may meet.
 pub fn complete(openapi: &mut utoipa::openapi::OpenApi) {
     for (path, item) in &mut openapi.paths.paths {
-        let PathItem { get, post, patch, delete, .. } = item;
-        for (operation, changes) in [(get, false), (post, true), (patch, true), (delete, true)] {
+        let PathItem { get, post, patch, delete, head, options, .. } = item;
+        // What tells headers only is never 304.
+        for (operation, changes) in [(get, false), (post, true), (patch, true), (delete, true), (head, true), (options, true)] {
             if let Some(operation) = operation {
                 may_meet(operation, path, changes);
                 operation.responses.responses.iter_mut().for_each(|(status, response)| describe(status, response));
@@ -141,7 +164,7 @@ fn describe(status: &str, response: &mut RefOr<Response>) {
     }
     let (Some((code, detail)), Some(RefOr::T(content))) = (example, response.content.get_mut(PROBLEM)) else { return };
     let number: u16 = status.parse().unwrap_or_default();
-    let title = StatusCode::from_u16(number).ok().and_then(|status| status.canonical_reason());
+    let title = StatusCode::from_u16(number).ok().map(title_of);
     content.example.get_or_insert_with(|| {
         json!({"type": "about:blank", "title": title, "status": number, "detail": detail, "code": code, "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11", "errors": []})
     });

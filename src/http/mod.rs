@@ -12,6 +12,7 @@ mod export;
 mod extract;
 mod graph;
 mod grounding;
+mod growth;
 mod health;
 mod hosts;
 mod instances;
@@ -28,6 +29,8 @@ mod reports;
 mod scenes;
 mod scopes;
 mod stats;
+mod tus;
+mod uploads;
 
 use auth::Asking;
 pub use auth::scopes;
@@ -37,6 +40,7 @@ pub use hosts::AllowedHosts;
 pub use mcp::{Mcp, McpOverHttp};
 pub use origins::Origins;
 use problem::Refused;
+pub use problem::told;
 pub use scopes::Scopes;
 
 use crate::metrics::Metrics;
@@ -102,15 +106,17 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(scenes::create, scenes::list))
         .routes(routes!(scenes::create_sample))
         .routes(routes!(scenes::import))
+        .merge(uploads::routes())
         .routes(routes!(scenes::get, scenes::change, scenes::delete))
         .routes(routes!(scenes::parse))
+        .routes(routes!(growth::changes))
         .routes(routes!(scenes::name))
         .routes(routes!(scenes::cloud))
         .routes(routes!(scenes::instances_cloud))
         .routes(routes!(scenes::embeddings))
         .routes(routes!(looks::points))
         .routes(routes!(looks::thumbnail))
-        .routes(routes!(looks::frames))
+        .routes(routes!(looks::frames, growth::add_frames))
         .routes(routes!(looks::photograph))
         .routes(routes!(export::export))
         .routes(routes!(reports::get))
@@ -183,7 +189,7 @@ pub fn router(app: App) -> Router {
         .fallback(problem::no_such_route)
         .method_not_allowed_fallback(problem::method_not_allowed)
         .layer(app.origins.protection())
-        .layer(app.origins.cors())
+        .layer(middleware::from_fn_with_state(app.origins.cors(), origins::answer))
         .layer(middleware::from_fn_with_state(app.clone(), hosts::check))
         .layer(CatchPanicLayer::custom(panicked))
         .layer(middleware::from_fn(problem::name_request))

@@ -2,11 +2,14 @@
 //! send most things (CORS); what they send unasked, a form or a plain POST, is refused when it comes from somewhere else.
 
 use super::problem::Refused;
-use super::{REQUEST_ID, auth};
+use super::{REQUEST_ID, auth, tus};
+use axum::extract::{Request, State};
 use axum::http::header::{self, HeaderName};
 use axum::http::{HeaderValue, Method, StatusCode};
+use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use std::time::Duration;
+use tower::{Layer, ServiceExt};
 use tower_http::cors::{AllowOrigin, CorsLayer};
 use tower_http::csrf::{ConfigError, CsrfLayer, ProtectionError};
 
@@ -46,6 +49,12 @@ impl Origins {
             HeaderName::from_static("mcp-method"),
             HeaderName::from_static("mcp-name"),
             HeaderName::from_static("traceparent"),
+            tus::RESUMABLE,
+            tus::LENGTH,
+            tus::METADATA,
+            tus::OFFSET,
+            tus::CHECKSUM,
+            tus::METHOD_OVERRIDE,
             REQUEST_ID,
         ];
         let told = [
@@ -53,15 +62,27 @@ impl Origins {
             header::CONTENT_DISPOSITION,
             header::CONTENT_RANGE,
             header::ETAG,
+            header::LOCATION,
             header::RETRY_AFTER,
             HeaderName::from_static("idempotent-replayed"),
             auth::RATE_LIMIT,
             auth::RATE_LIMIT_POLICY,
+            tus::RESUMABLE,
+            tus::VERSION,
+            tus::EXTENSION,
+            tus::MAX_SIZE,
+            tus::CHECKSUM_ALGORITHM,
+            tus::LENGTH,
+            tus::METADATA,
+            tus::OFFSET,
+            tus::EXPIRES,
+            tus::SCENE_ID,
+            tus::JOB_ID,
             REQUEST_ID,
         ];
         CorsLayer::new()
             .allow_origin(AllowOrigin::list(self.named.clone()))
-            .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PATCH, Method::DELETE])
+            .allow_methods([Method::GET, Method::HEAD, Method::POST, Method::PATCH, Method::DELETE, Method::OPTIONS])
             .allow_headers(asked)
             .expose_headers(told)
             .max_age(REMEMBER)
@@ -71,6 +92,15 @@ impl Origins {
     pub fn protection(&self) -> CsrfLayer<fn(ProtectionError) -> Response> {
         self.protection.clone().with_rejection_response(foreign)
     }
+}
+
+/// Answers browsers that ask whether their pages may. CORS takes every `OPTIONS` for that; one that asks for something else goes its way.
+pub async fn answer(State(cors): State<CorsLayer>, request: Request, next: Next) -> Response {
+    if request.method() == Method::OPTIONS && !request.headers().contains_key(header::ACCESS_CONTROL_REQUEST_METHOD) {
+        return next.run(request).await;
+    }
+    let Ok(response) = cors.layer(next).oneshot(request).await;
+    response
 }
 
 fn foreign(_: ProtectionError) -> Response {

@@ -14,13 +14,13 @@ use uniground_types::problem::{FieldError, Problem};
 
 /// A request that was refused: the problem as a response.
 #[derive(Debug, Clone)]
-pub struct Refused(Problem);
+pub struct Refused(Box<Problem>);
 
 impl Refused {
     pub fn new(status: StatusCode, code: &str, detail: impl Into<String>) -> Self {
-        Self(Problem {
+        Self(Box::new(Problem {
             kind: "about:blank".into(),
-            title: status.canonical_reason().unwrap_or("Error").into(),
+            title: title_of(status).into(),
             status: status.as_u16(),
             detail: detail.into(),
             code: code.into(),
@@ -28,7 +28,7 @@ impl Refused {
             errors: Vec::new(),
             job_id: None,
             retry_after_s: None,
-        })
+        }))
     }
 
     #[must_use]
@@ -45,13 +45,13 @@ impl Refused {
     /// The problem itself.
     #[must_use]
     pub fn problem(self) -> Problem {
-        self.0
+        *self.0
     }
 
     /// The problem as JSON.
     #[must_use]
     pub fn body(&self) -> String {
-        serde_json::json!(self.0).to_string()
+        serde_json::json!(*self.0).to_string()
     }
 
     /// The caller may try again after so many seconds.
@@ -67,6 +67,18 @@ impl Refused {
         refused.0.errors.push(FieldError { pointer, detail });
         refused
     }
+}
+
+impl From<Problem> for Refused {
+    fn from(problem: Problem) -> Self {
+        Self(Box::new(problem))
+    }
+}
+
+/// An error as callers are told of it.
+#[must_use]
+pub fn told(error: Error) -> Problem {
+    Refused::from(error).problem()
 }
 
 impl From<Error> for Refused {
@@ -91,7 +103,7 @@ impl From<Error> for Refused {
         match error {
             Error::Invalid { pointer, detail } => problem.errors.push(FieldError { pointer, detail }),
             Error::SceneNotReady { job_id, .. } => problem.job_id = job_id,
-            Error::Overloaded | Error::TooMany { .. } => problem.retry_after_s = Some(1),
+            Error::Overloaded | Error::TooMany { .. } | Error::UploadBusy { .. } => problem.retry_after_s = Some(1),
             Error::VlmDown { again_in_s } => problem.retry_after_s = u32::try_from(again_in_s).ok(),
             _ if status == StatusCode::SERVICE_UNAVAILABLE => problem.retry_after_s = Some(2),
             Error::Jobs(JobsError::QueueFull { .. }) => problem.retry_after_s = Some(10),
@@ -127,6 +139,7 @@ fn status_of(error: &Error) -> StatusCode {
             | IngestError::TooManyDamaged { .. }
             | IngestError::IncompleteLayout { .. }
             | IngestError::UpUnknown { .. }
+            | IngestError::DoesNotBelong { .. }
             | IngestError::NothingFits { .. } => StatusCode::UNPROCESSABLE_ENTITY,
             IngestError::ArchiveTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
             IngestError::Cancelled(_) => StatusCode::CONFLICT,
@@ -147,8 +160,10 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::AnswerNotFound { .. }
         | Error::BatchNotFound { .. }
         | Error::KeyNotFound { .. }
+        | Error::UploadNotFound { .. }
         | Error::CorrectionNotFound { .. }
         | Error::FrameNotFound { .. }
+        | Error::NoVersion { .. }
         | Error::NoTranscript { .. }
         | Error::AnswerPictureNotFound { .. } => StatusCode::NOT_FOUND,
         Error::VlmNotConfigured
@@ -157,6 +172,11 @@ fn status_of(error: &Error) -> StatusCode {
         | Error::SceneNotReady { .. }
         | Error::EncoderChanged { .. }
         | Error::BatchOver { .. }
+        | Error::GrownTooOften { .. }
+        | Error::GrowthOvertaken { .. }
+        | Error::VersionsApart { .. }
+        | Error::ScansApart { .. }
+        | Error::WrongOffset { .. }
         | Error::CorrectionInUse { .. }
         | Error::NotAThing { .. }
         | Error::WasMerged { .. }
@@ -167,13 +187,26 @@ fn status_of(error: &Error) -> StatusCode {
         Error::TooManyScenes { .. } | Error::KeyRefused | Error::ImportNotAllowed => StatusCode::FORBIDDEN,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
         Error::DiskNearlyFull { .. } => StatusCode::INSUFFICIENT_STORAGE,
-        Error::Overloaded | Error::TooMany { .. } => StatusCode::TOO_MANY_REQUESTS,
+        Error::Overloaded | Error::TooMany { .. } | Error::TooManyUploads { .. } => StatusCode::TOO_MANY_REQUESTS,
         Error::ParseDamaged { .. } | Error::VlmDown { .. } => StatusCode::SERVICE_UNAVAILABLE,
         Error::UploadTooSlow { .. } => StatusCode::REQUEST_TIMEOUT,
         Error::UploadTooLarge { .. } | Error::TooManyItems { .. } => StatusCode::PAYLOAD_TOO_LARGE,
         Error::UploadInterrupted { .. } => StatusCode::BAD_REQUEST,
+        Error::UploadExpired { .. } => StatusCode::GONE,
+        Error::UploadBusy { .. } => StatusCode::LOCKED,
+        Error::ChecksumMismatch => checksum_mismatch(),
         Error::Store(_) | Error::Io(_) | Error::AnswerNotKept | Error::Background(_) => StatusCode::INTERNAL_SERVER_ERROR,
     }
+}
+
+/// A status in words; the one that HTTP does not know is tus's own.
+pub(super) fn title_of(status: StatusCode) -> &'static str {
+    status.canonical_reason().unwrap_or("Checksum Mismatch")
+}
+
+/// A status of tus's own.
+fn checksum_mismatch() -> StatusCode {
+    StatusCode::from_u16(460).unwrap_or(StatusCode::BAD_REQUEST)
 }
 
 /// What is repeated of a request in its refusal: enough to see what is meant.
@@ -188,7 +221,7 @@ fn shorten(text: &mut String) {
 
 impl IntoResponse for Refused {
     fn into_response(self) -> Response {
-        let Self(mut problem) = self;
+        let mut problem = *self.0;
         shorten(&mut problem.detail);
         for FieldError { pointer, detail } in &mut problem.errors {
             shorten(pointer);
@@ -214,7 +247,7 @@ pub async fn name_request(request: Request, next: Next) -> Response {
     match response.extensions_mut().remove::<Problem>() {
         Some(problem) => {
             let headers = response.headers().clone();
-            let mut named = Refused(Problem { request_id: id, ..problem }).into_response();
+            let mut named = Refused::from(Problem { request_id: id, ..problem }).into_response();
             // Keep what handlers and layers said beside the body ("Allow" and the like).
             headers.into_iter().filter_map(|(name, value)| Some((name?, value))).for_each(|(name, value)| {
                 if name != header::CONTENT_LENGTH {

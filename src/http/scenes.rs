@@ -6,6 +6,7 @@ use super::extract::{Json, Path, Query};
 use super::paging::Page;
 use super::problem::Refused;
 use super::{App, Asking};
+use crate::error::Error;
 use crate::jobs::Job;
 use crate::service::{NewScene, ParseFile};
 use axum::Extension;
@@ -24,7 +25,7 @@ use uniground_core::models::with_causes;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::{Created, ImportRequest, ParseRequest, Scene, SceneChange, SceneList};
-use uniground_types::settings::{ParsePreset, ParseSettings};
+use uniground_types::settings::{ImportSettings, LevellingChoice, ParsePreset, ParseSettings};
 use utoipa::IntoParams;
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -41,6 +42,12 @@ pub struct CreateParameters {
     /// The axis that points up in the files, for archives that do not say; default: the axis the cameras hold up.
     #[param(inline)]
     up: Option<UpAxis>,
+    /// Length of one unit of the files' clouds and poses, metres, for files that are not in metres; default: told by their size.
+    metres_per_unit: Option<f64>,
+    /// Whether a world that is tilted is turned level.
+    #[serde(default)]
+    #[param(inline)]
+    levelling: LevellingChoice,
     /// Settings to parse with.
     #[serde(default)]
     #[param(inline)]
@@ -76,14 +83,14 @@ fn yes() -> bool {
 )]
 pub async fn create(
     State(app): State<App>,
-    Query(CreateParameters { name, parse, up, preset }): Query<CreateParameters>,
+    Query(CreateParameters { name, parse, up, metres_per_unit, levelling, preset }): Query<CreateParameters>,
     Extension(caller): Asking,
     headers: HeaderMap,
     request: Request,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
     let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
-    let mut settings = ParseSettings::from_request(preset, None).map_err(crate::error::Error::from)?;
-    settings.import.up = up;
+    let mut settings = ParseSettings::from_request(preset, None).map_err(Error::from)?;
+    settings.import = ImportSettings { up, metres_per_unit, levelling, ..settings.import };
     let announced_bytes = header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
     let idempotency_key = header("idempotency-key").map(str::to_owned);
     let new = NewScene { name, file_name: None, parse: parse.then_some(settings), idempotency_key, announced_bytes };
@@ -134,7 +141,7 @@ const BEFORE_FILE_BYTES: usize = 64 << 10;
 const BEFORE_FILE_TIME: Duration = Duration::from_secs(20);
 
 /// The first file of a form: what it is called, and its bytes.
-async fn file_of_form(body: BodyDataStream, boundary: String) -> Result<(Option<String>, Field<'static>), Refused> {
+pub(super) async fn file_of_form(body: BodyDataStream, boundary: String) -> Result<(Option<String>, Field<'static>), Refused> {
     const NO_FILE: &str = "this form has no file: curl -F scan=@room.zip sends one";
     let refused = |detail: &str| Refused::new(StatusCode::BAD_REQUEST, "malformed_form", detail);
     let is_found = Arc::new(AtomicBool::new(false));

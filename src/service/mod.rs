@@ -19,6 +19,7 @@ mod parses;
 mod retention;
 mod scenes;
 mod stats;
+mod uploads;
 mod vlm;
 
 pub use answers::{LineFormat, usage};
@@ -31,7 +32,8 @@ pub use keys::{Allowance, Caller, Denied, Done, Keyring, LINK_PARAMETER, LinkSec
 pub use names::NamingJob;
 pub use parses::{ParseFile, ParseJob};
 pub use retention::{Beside, Removed};
-pub use scenes::{ExportFile, NewScene};
+pub use scenes::{ExportFile, NewFrames, NewScene};
+pub use uploads::{Algorithm, Checksum, NewUpload, Part};
 pub use vlm::{Vlm, VlmSettings, WhenNamed};
 
 use crate::error::Error;
@@ -58,11 +60,14 @@ use uniground_core::models::neural::{LoadedModel, Models};
 use uniground_core::models::with_causes;
 use uniground_core::progress::{Cancelled, Progress};
 use uniground_types::stats::Retention;
+use uploads::{AtWork, Telling, unexplained};
 
 /// What uploads and questions may take.
 #[derive(Debug, Clone, Copy)]
 pub struct Limits {
     pub max_upload_bytes: u64,
+    /// Uploads in parts that may be unfinished at once.
+    pub max_unfinished_uploads: u32,
     pub unpack: UnpackLimits,
     /// Room on the disk that uploads, parses and batches leave to the rest.
     pub keep_free_bytes: u64,
@@ -82,6 +87,10 @@ pub struct Service {
     pictures: Arc<PictureCache>,
     questions: Arc<Semaphore>,
     uploads: Arc<Semaphore>,
+    /// Uploads in parts that somebody is at work on.
+    uploads_at_work: Arc<AtWork>,
+    /// How a refused upload is told why.
+    tell: Telling,
     /// Where parses compute: a pool of its own whose threads give way. Questions keep rayon's global pool.
     parsing: Arc<ThreadPool>,
     /// A vision-language model, where one is configured.
@@ -98,6 +107,8 @@ pub struct Service {
     parse_references: Arc<Mutex<()>>,
     /// Held while a parse is corrected.
     correcting: Arc<Mutex<()>>,
+    /// Held while frames are laid beside a scene.
+    growing: Arc<Mutex<()>>,
     /// Held while something is drawn or made for who looks at a scene: questions have their own places.
     drawing: Arc<Mutex<()>>,
     /// Scans below it may be imported; `None`: nothing may.
@@ -128,6 +139,8 @@ impl Service {
             pictures: Arc::default(),
             questions: Arc::new(Semaphore::new(limits.max_concurrent_questions)),
             uploads: Arc::new(Semaphore::new(MAX_UPLOADS)),
+            uploads_at_work: Arc::default(),
+            tell: unexplained,
             parsing: Arc::new(parsing),
             vlm: vlm.map(Arc::new),
             models,
@@ -136,6 +149,7 @@ impl Service {
             content_references: Arc::default(),
             parse_references: Arc::default(),
             correcting: Arc::default(),
+            growing: Arc::default(),
             drawing: Arc::default(),
             import_root: None,
             inference: None,

@@ -83,7 +83,8 @@ impl Service {
     /// [`Error`] of the store; what is gone stays gone.
     pub async fn let_go(&self, beside: Beside) -> Result<Vec<Removed>, Error> {
         let mut round = Round { service: self, beside, now: Timestamp::now(), folders: HashSet::new() };
-        let Retention { answers_days, jobs_days, batches_days, idempotency_days, audit_days, superseded_days, .. } = self.limits.retention;
+        let Retention { answers_days, jobs_days, batches_days, idempotency_days, audit_days, superseded_days, uploads_days, .. } =
+            self.limits.retention;
         // First: it looks for folders without rows, and a round that only looks leaves some.
         let quarantine = round.quarantine().await?;
         let removed = vec![
@@ -96,6 +97,9 @@ impl Service {
             round.rows(Aged::QuestionKeys, idempotency_days, "idempotency keys of questions").await?,
             round.rows(Aged::Audit, audit_days, "audit").await?,
             round.superseded_parses(superseded_days).await?,
+            // After the parses of them.
+            round.outgrown_contents(superseded_days).await?,
+            round.rows(Aged::Uploads, uploads_days, "uploads in parts").await?,
             round.checkpoints().await?,
             quarantine,
         ];
@@ -120,7 +124,7 @@ impl Round<'_> {
         Ok(gone.because("evidence", format!("{days} days after the answer")))
     }
 
-    /// Rows of a kind, and of answers what lies beside them.
+    /// Rows of a kind, and what lies beside them.
     async fn rows(&mut self, aged: Aged, days: u32, kind: &'static str) -> Result<Removed, Error> {
         let mut gone = Gone::default();
         if days == 0 {
@@ -134,9 +138,12 @@ impl Round<'_> {
             after.clone_from(&last.id);
             let removed = store.remove_due(aged, &before, &due.iter().map(|due| due.id.as_str()).collect::<Vec<_>>()).await?;
             gone.count(&due, &removed);
-            if aged == Aged::Answers {
-                gone.bytes += self.discard(removed.iter().map(|id| store.blobs.answer(id)).collect()).await?;
-            }
+            let beside = match aged {
+                Aged::Answers => removed.iter().map(|id| store.blobs.answer(id)).collect(),
+                Aged::Uploads => removed.iter().map(|id| store.blobs.upload(id)).collect(),
+                _ => Vec::new(),
+            };
+            gone.bytes += self.discard(beside).await?;
             self.beside.pause().await;
         }
         Ok(gone.because(kind, format!("over {days} days old")))
@@ -168,6 +175,25 @@ impl Round<'_> {
             self.beside.pause().await;
         }
         Ok(gone.because(KIND, format!("no scene and no answer has referred to them for {days} days")))
+    }
+
+    /// Scans as they were before they grew. Their files are those of the scan that has grown: what goes is little but links.
+    async fn outgrown_contents(&mut self, days: u32) -> Result<Removed, Error> {
+        const KIND: &str = "outgrown scans";
+        let (service, mut gone) = (self.service, Gone::default());
+        if days == 0 {
+            return Ok(gone.because(KIND, "kept for ever".into()));
+        }
+        for hash in service.store.outgrown_contents(TOGETHER).await? {
+            let folders = {
+                let _references = (service.content_references.lock().await, service.parse_references.lock().await);
+                service.store.remove_outgrown(&hash).await?
+            };
+            gone.entries += u64::from(!folders.is_empty());
+            gone.bytes += self.discard(folders).await?;
+            self.beside.pause().await;
+        }
+        Ok(gone.because(KIND, "their scenes have grown, and no parse is of them any more".into()))
     }
 
     async fn checkpoints(&mut self) -> Result<Removed, Error> {

@@ -4,7 +4,7 @@
 //! uniground-data.json   that this is a data folder, and its id
 //! uniground.sqlite      the database, which knows the same id
 //! reserve               a few megabytes to let go of when the disk is full: deleting needs room too
-//! blobs/  tmp/          see `blobs`
+//! blobs/  uploads/  tmp/   see `blobs`
 //! quarantine/<day>/...  what no record speaks of, kept for a while
 //! ```
 
@@ -169,4 +169,51 @@ pub(super) fn write_synced(path: &Utf8Path, content: &[u8]) -> io::Result<()> {
 /// Puts a folder's list of names on the disk.
 pub(super) fn sync_folder(folder: &Utf8Path) -> io::Result<()> {
     File::open(folder)?.sync_all()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Barrier;
+    use std::thread;
+
+    /// Two that start at once on a new folder: one has it, the other is told that it is in use, and both mean the same folder.
+    #[test]
+    fn a_new_folder_is_marked_once() {
+        for _ in 0..20 {
+            let place = tempfile::tempdir().unwrap();
+            let path = Utf8Path::from_path(place.path()).unwrap().join("data");
+            let (begin, end) = (Barrier::new(2), Barrier::new(2));
+            let opened = thread::scope(|scope| {
+                let open = || {
+                    begin.wait();
+                    let opened = DataFolder::open(&path);
+                    end.wait();
+                    opened.map(|folder| folder.id)
+                };
+                let both = [scope.spawn(open), scope.spawn(open)];
+                both.map(|one| one.join().unwrap())
+            });
+            let ids: Vec<&String> = opened.iter().flatten().collect();
+            let marker: Marker = serde_json::from_slice(&fs::read(path.join(MARKER)).unwrap()).unwrap();
+            assert_eq!(ids, [&marker.id], "{opened:?}");
+            assert!(
+                opened.iter().filter_map(|one| one.as_ref().err()).all(|error| matches!(error, StoreError::InUse)),
+                "{opened:?}"
+            );
+        }
+    }
+
+    /// What a kill in the moment of marking leaves keeps nobody out; other things do.
+    #[test]
+    fn half_a_mark_is_no_stranger() {
+        let place = tempfile::tempdir().unwrap();
+        let path = Utf8Path::from_path(place.path()).unwrap();
+        fs::write(path.join(UNFINISHED_MARKER), "{").unwrap();
+        assert!(DataFolder::open(path).is_ok());
+        let other = tempfile::tempdir().unwrap();
+        let other = Utf8Path::from_path(other.path()).unwrap();
+        fs::write(other.join("thesis.txt"), "words").unwrap();
+        assert!(matches!(DataFolder::open(other), Err(StoreError::NotOurs { .. })));
+    }
 }

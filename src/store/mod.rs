@@ -13,6 +13,7 @@ mod copy;
 mod corrections;
 mod data_folder;
 mod figures;
+mod growth;
 mod health;
 mod ids;
 mod jobs;
@@ -22,15 +23,17 @@ mod records;
 mod retention;
 mod scenes;
 mod sweep;
+mod uploads;
 mod vlm;
 mod writer;
 
 pub use answers::{AnswerFilter, AnswerRow, NewAnswer};
 pub use backup::{BackedUp, BackupError, Restored, Source, Target, back_up, check, restore};
 pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, Resumed, Submitted};
-pub use blobs::{Blobs, Damage, KeptCheckpoints, Look, Measured, Scratch, size_of};
+pub use blobs::{Blobs, Damage, GrowingFile, KeptCheckpoints, Look, Measured, Scratch, size_of};
 pub use corrections::NewCorrection;
 pub use figures::{Figures, JobFigures};
+pub use growth::{Continued, Grew, Growth};
 pub use health::StoreHealth;
 pub use jobs::{JobFilter, JobRow, JobState, NewJob, Recovery};
 pub use keys::KeyRow;
@@ -39,6 +42,7 @@ pub use records::ParseRecord;
 pub use retention::{Aged, Before, Due};
 pub use scenes::{Inserted, NewSceneRow, SceneRow, SceneRowChange};
 pub use sweep::{KEEP_QUARANTINE_DAYS, Strays};
+pub use uploads::{CameOf, Unfinished, UploadRow, WantedScene};
 
 use answers::AnswerQueue;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -143,6 +147,7 @@ impl Store {
         if let Err(error) = store.sweep(Duration::ZERO).await {
             tracing::warn!(error = &error as &dyn std::error::Error, "the data folder could not be swept");
         }
+        store.remove_stray_uploads().await?;
         let left_behind = store.blobs.left_behind()?;
         store.blobs.remove_later(left_behind);
         Ok(store)
@@ -189,7 +194,7 @@ impl Store {
         let newest = "SELECT max(id) FROM (SELECT max(id) AS id FROM scenes UNION ALL SELECT max(id) FROM jobs
                       UNION ALL SELECT max(id) FROM answers UNION ALL SELECT max(id) FROM parses
                       UNION ALL SELECT max(id) FROM batches
-                      UNION ALL SELECT max(id) FROM corrections
+                      UNION ALL SELECT max(id) FROM corrections UNION ALL SELECT max(id) FROM uploads
                       UNION ALL SELECT max(id) FROM keys UNION ALL SELECT max(id) FROM audit)";
         let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
         let answers = AnswerQueue::start(writer.clone());
@@ -246,7 +251,7 @@ impl Store {
 }
 
 /// What brings a database of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 11] = [
+const MIGRATIONS: [(i64, &str, &str); 13] = [
     (1, "scenes parses jobs answers", include_str!("../../migrations/0001_scenes_parses_jobs_answers.sql")),
     (2, "instance names spending", include_str!("../../migrations/0002_instance_names_spending.sql")),
     (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
@@ -258,6 +263,8 @@ const MIGRATIONS: [(i64, &str, &str); 11] = [
     (9, "corrections", include_str!("../../migrations/0009_corrections.sql")),
     (10, "scene to map", include_str!("../../migrations/0010_scene_to_map.sql")),
     (11, "question keys", include_str!("../../migrations/0011_question_keys.sql")),
+    (12, "uploads", include_str!("../../migrations/0012_uploads.sql")),
+    (13, "scene changes", include_str!("../../migrations/0013_scene_changes.sql")),
 ];
 
 fn migrations() -> Migrator {

@@ -1,5 +1,6 @@
 //! Finished parses and their instances.
 
+use super::growth::Continued;
 use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
 use super::{SceneRow, Store, StoreError, now};
 use sqlx::sqlite::SqliteRow;
@@ -64,6 +65,8 @@ pub struct NewParse<'a> {
     pub report: &'a ParseReport,
     pub extent: &'a Aabb,
     pub instances: &'a [Instance],
+    /// Of a scene that has grown: what it has from the parse before.
+    pub continued: Option<Continued<'a>>,
 }
 
 impl Store {
@@ -73,7 +76,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn insert_parse(&self, parse: NewParse<'_>) -> Result<bool, StoreError> {
-        let NewParse { id, content_hash, settings_hash, settings, models, import, report, extent, instances } = &parse;
+        let NewParse { id, content_hash, settings_hash, settings, models, import, report, extent, instances, continued } = &parse;
         let mut tx = self.writer.begin().await?;
         let inserted = sqlx::query(
             "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at,
@@ -99,7 +102,10 @@ impl Store {
         for instance in *instances {
             insert_instance(&mut tx, id, instance).await?;
         }
-        inherit(&mut tx, &parse, instances.len()).await?;
+        match continued {
+            Some(continued) => self.continue_parse(&mut tx, id, continued).await?,
+            None => inherit(&mut tx, &parse, instances.len()).await?,
+        }
         tx.commit().await?;
         Ok(true)
     }

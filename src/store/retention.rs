@@ -21,6 +21,8 @@ pub enum Aged {
     Audit,
     /// Those neither a scene nor an answer refers to, counted from when that was [seen](Store::mark_superseded_parses).
     SupersededParses,
+    /// Those in parts, whatever came of them.
+    Uploads,
 }
 
 /// Everything before it has been kept long enough.
@@ -74,6 +76,8 @@ impl Aged {
             Self::IdempotencyKeys => ("idempotency_keys", "key", "octet_length(key)", "created_at < ?1 AND ?2 IS NOT NULL"),
             Self::QuestionKeys => ("question_keys", "key", "octet_length(key)", "created_at < ?1 AND ?2 IS NOT NULL"),
             Self::Audit => ("audit", "id", "octet_length(path)", "id < ?2 AND at < ?1"),
+            // Their bytes are in files.
+            Self::Uploads => ("uploads", "id", "0", "id < ?2 AND updated_at < ?1"),
             Self::SupersededParses => (
                 "parses",
                 "id",

@@ -1,5 +1,6 @@
 //! Scenes.
 
+use super::growth::number_changes;
 use super::records::read_or_none;
 use super::writer::Transaction;
 use super::{JobRow, NewJob, Store, StoreError, now};
@@ -73,7 +74,7 @@ pub enum Inserted {
     KeyReused,
 }
 
-async fn made_by_key(connection: &mut SqliteConnection, key: &str) -> sqlx::Result<Option<(SceneRow, Option<String>)>> {
+pub(super) async fn made_by_key(connection: &mut SqliteConnection, key: &str) -> sqlx::Result<Option<(SceneRow, Option<String>)>> {
     let sql = "SELECT scenes.*, request FROM scenes JOIN idempotency_keys ON scene_id = scenes.id WHERE key = ?";
     let row = sqlx::query(sql).bind(key).fetch_optional(connection).await?;
     row.map(|row| Ok((SceneRow::from_row(&row)?, row.try_get("request")?))).transpose()
@@ -189,17 +190,20 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn set_scene_parse(&self, id: &str, parse_id: &str, job_id: &str) -> Result<(), StoreError> {
+        let mut tx = self.writer.begin().await?;
+        let before: Option<Option<String>> = sqlx::query_scalar("SELECT parse_id FROM scenes WHERE id = ?")
+            .bind(id)
+            .fetch_optional(&mut *tx)
+            .await?;
         // Ids are in order of time.
         let sql = "UPDATE scenes SET parse_version = parse_version + (parse_id IS NOT ?1), parse_id = ?1, updated_at = ?2
                    WHERE id = ?3 AND (job_id IS NULL OR job_id <= ?4)";
-        sqlx::query(sql)
-            .bind(parse_id)
-            .bind(now())
-            .bind(id)
-            .bind(job_id)
-            .execute(self.writer.pool())
-            .await?;
-        Ok(())
+        let query = sqlx::query(sql).bind(parse_id).bind(now()).bind(id).bind(job_id);
+        let is_set = query.execute(&mut *tx).await?.rows_affected() > 0;
+        if let Some(before) = before.flatten().filter(|_| is_set) {
+            number_changes(&mut tx, id, parse_id, &before).await?;
+        }
+        tx.commit().await
     }
 
     /// Removes the rows of a scene with the last of its answers, and those of its content and parses when no other scene shares them. The
@@ -218,20 +222,8 @@ impl Store {
             tx.forget().await?;
             return Ok(None);
         };
-        let shared: i64 = sqlx::query_scalar("SELECT count(*) FROM scenes WHERE content_hash = ?")
-            .bind(&content)
-            .fetch_one(&mut *tx)
-            .await?;
         let mut folders: Vec<Utf8PathBuf> = answers.iter().map(|answer| self.blobs.answer(answer)).collect();
-        if shared == 0 {
-            let parses: Vec<String> = sqlx::query_scalar("DELETE FROM parses WHERE content_hash = ? RETURNING id")
-                .bind(&content)
-                .fetch_all(&mut *tx)
-                .await?;
-            sqlx::query("DELETE FROM contents WHERE hash = ?").bind(&content).execute(&mut *tx).await?;
-            folders.extend([self.blobs.content(&content), self.blobs.checkpoints(&content)]);
-            folders.extend(parses.iter().map(|parse| self.blobs.parse(parse)));
-        }
+        folders.extend(self.remove_content(&mut tx, content).await?);
         tx.commit().await?;
         Ok(Some(folders))
     }
@@ -251,7 +243,7 @@ impl Store {
 }
 
 /// Adds a job on a scene, in somebody's transaction.
-async fn add_job(tx: &mut Transaction, scene_id: &str, id: &str, job: NewJob<'_>) -> Result<JobRow, StoreError> {
+pub(super) async fn add_job(tx: &mut Transaction, scene_id: &str, id: &str, job: NewJob<'_>) -> Result<JobRow, StoreError> {
     let done = job.done;
     let time = now();
     let sql = "UPDATE scenes SET job_id = ?, updated_at = ? WHERE id = ?";

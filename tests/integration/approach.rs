@@ -117,6 +117,22 @@ async fn a_robot_asks_and_is_told_in_its_own_map() {
         assert!((sin * f64::from(half_yaw.cos()) - cos * f64::from(half_yaw.sin())).abs() < 1e-6, "{placed:?}");
         assert!(placed.path.len() == pose.path.len() && placed.path.last().unwrap() == &placed.position, "{placed:?}");
     }
+    // Maps far from their origin, as surveyors have them, lose nothing.
+    let far = SceneToMap { rotation: [0.0, 0.0, 0.0, 1.0], translation_m: [500_000.3, 5_000_000.2, 0.0] };
+    client
+        .change_scene(&scene.id, &SceneChange { scene_to_map: Some(Some(far)), ..SceneChange::default() })
+        .await
+        .unwrap();
+    let from = in_scene.from.unwrap();
+    let from = FloorPoint { x: from.x + far.translation_m[0], y: from.y + far.translation_m[1], ..from };
+    let far = client
+        .approach(&scene.id, &ApproachRequest { frame: FrameChoice::Map, from: Some(from), ..in_scene })
+        .await
+        .unwrap();
+    assert_eq!(far.poses, here.poses);
+    // What several are meant by is driven to by none.
+    let several = client.approach(&scene.id, &asking("all the chairs")).await.unwrap();
+    assert!(several.status == ApproachStatus::NotGrounded && several.detail.contains("things"), "{several:?}");
     server.stop().await;
 }
 

@@ -7,14 +7,20 @@ const WIDTH: u32 = 120;
 const HEIGHT: u32 = 90;
 const FOCAL: f32 = 100.0;
 
-/// Axis-aligned things in the room: min, max, colour.
-const THINGS: [([f32; 3], [f32; 3], [u8; 3]); 4] = [
+/// An axis-aligned thing in a room: min, max, colour.
+pub type Thing = ([f32; 3], [f32; 3], [u8; 3]);
+
+/// What is in the room.
+pub const THINGS: [Thing; 4] = [
     ([-2.5, -2.5, -0.05], [2.5, 2.5, 0.0], [150, 130, 110]),
     // A red sofa, a blue box, a green trash can.
     ([-1.0, 0.6, 0.0], [1.0, 1.5, 0.8], [190, 30, 30]),
     ([0.8, -0.9, 0.0], [1.3, -0.5, 0.4], [30, 60, 190]),
     ([-1.3, -1.0, 0.0], [-1.0, -0.7, 0.4], [30, 150, 50]),
 ];
+
+/// Eight places around a room.
+pub const EIGHTHS: [f32; 8] = [0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875];
 
 /// The files of a scan, by name; tests take one and break it.
 #[derive(Clone)]
@@ -23,11 +29,16 @@ pub struct Scan(pub BTreeMap<String, Vec<u8>>);
 impl Scan {
     /// `color/ depth/ pose/ intrinsic.txt`, without a cloud.
     pub fn frames_only() -> Self {
+        Self::of_room(&THINGS, &EIGHTHS)
+    }
+
+    /// The same of these things, from as many places: shares of the way around the room.
+    pub fn of_room(things: &[Thing], around: &[f32]) -> Self {
         let mut files = BTreeMap::new();
         files.insert("intrinsic.txt".into(), intrinsics().into_bytes());
-        for i in 0..8 {
-            let pose = pose(i as f32 / 8.0 * std::f32::consts::TAU);
-            let (color, depth) = render(&pose);
+        for (i, share) in around.iter().enumerate() {
+            let pose = pose(share * std::f32::consts::TAU);
+            let (color, depth) = render(things, &pose);
             files.insert(format!("color/{i}.png"), color);
             files.insert(format!("depth/{i}.png"), depth);
             files.insert(format!("pose/{i}.txt"), matrix(&pose).into_bytes());
@@ -127,7 +138,7 @@ fn matrix(pose: &Pose) -> String {
 }
 
 /// Colour and depth pictures as PNG.
-fn render(pose: &Pose) -> (Vec<u8>, Vec<u8>) {
+fn render(things: &[Thing], pose: &Pose) -> (Vec<u8>, Vec<u8>) {
     let mut color = image::RgbImage::new(WIDTH, HEIGHT);
     let mut depth = image::ImageBuffer::<image::Luma<u16>, _>::new(WIDTH, HEIGHT);
     for v in 0..HEIGHT {
@@ -135,7 +146,7 @@ fn render(pose: &Pose) -> (Vec<u8>, Vec<u8>) {
             let (x, y) = ((u as f32 - 59.5) / FOCAL, (v as f32 - 44.5) / FOCAL);
             let ray: [f32; 3] = std::array::from_fn(|i| pose[0][i] * x + pose[1][i] * y + pose[2][i]);
             // The ray has length 1 along the optical axis: its parameter is the depth.
-            if let Some((z, rgb)) = hit(&pose[3], &ray) {
+            if let Some((z, rgb)) = hit(things, &pose[3], &ray) {
                 color.put_pixel(u, v, image::Rgb(rgb));
                 depth.put_pixel(u, v, image::Luma([(z * 1000.0).round() as u16]));
             }
@@ -150,8 +161,8 @@ fn render(pose: &Pose) -> (Vec<u8>, Vec<u8>) {
 }
 
 /// Nearest thing along a ray: depth and shaded colour.
-fn hit(origin: &[f32; 3], ray: &[f32; 3]) -> Option<(f32, [u8; 3])> {
-    let enter = |(min, max, rgb): &([f32; 3], [f32; 3], [u8; 3])| {
+fn hit(things: &[Thing], origin: &[f32; 3], ray: &[f32; 3]) -> Option<(f32, [u8; 3])> {
+    let enter = |(min, max, rgb): &Thing| {
         let (mut near, mut far, mut side) = (0.0_f32, f32::INFINITY, 0);
         for i in 0..3 {
             let (a, b) = ((min[i] - origin[i]) / ray[i], (max[i] - origin[i]) / ray[i]);
@@ -164,7 +175,7 @@ fn hit(origin: &[f32; 3], ray: &[f32; 3]) -> Option<(f32, [u8; 3])> {
         let shade = [0.85, 0.92, 1.0][side];
         (near < far && near > 0.0).then(|| (near, rgb.map(|c| (f32::from(c) * shade) as u8)))
     };
-    THINGS.iter().filter_map(enter).min_by(|a, b| a.0.total_cmp(&b.0))
+    things.iter().filter_map(enter).min_by(|a, b| a.0.total_cmp(&b.0))
 }
 
 /// The things' visible sides as a binary PLY, two centimetres apart.

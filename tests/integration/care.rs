@@ -75,7 +75,10 @@ fn make_old(folder: &Utf8Path, days: u64) {
 async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
     let server = TestServer::start().await;
     let client = &server.client;
-    let created = client.create_scene_once("room", "application/zip", Scan::neutral().zip(), "new key").await.unwrap();
+    let created = client
+        .create_scene_once(&[("name", "room")], "application/zip", Scan::neutral().zip(), "new key")
+        .await
+        .unwrap();
     assert_eq!(finished(client, &created.job.unwrap().id).await.error, None);
     let scene = created.scene.id;
     for preset in ["paper", "default", "paper"] {
@@ -119,6 +122,11 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
              INSERT INTO idempotency_keys (key, scene_id, created_at) SELECT 'old key', id, '{LONG_AGO}' FROM scenes;
              INSERT INTO question_keys VALUES ('old key', 'asked', '{OLD}1', '{LONG_AGO}'), ('new key', 'asked', '{OLD}4', '2999-01-01T00:00:00Z');
              INSERT INTO audit (id, at, method, path, status) VALUES ('{OLD}1', '{LONG_AGO}', 'POST', '/v1/scenes', 202);
+             -- Uploads in parts: nobody goes on with one, somebody just did with another.
+             INSERT INTO uploads (id, wanted, length, received, created_at, updated_at)
+             VALUES ('{OLD}1', '{{}}', 9, 4, '{LONG_AGO}', '{LONG_AGO}'), ('{OLD}2', '{{}}', 9, 4, '{LONG_AGO}', '2999-01-01T00:00:00Z');
+             -- What a scene was made of before it grew.
+             INSERT INTO contents (hash, bytes, created_at) VALUES ('outgrown', 9, '{LONG_AGO}');
              UPDATE parses SET superseded_at = '{LONG_AGO}';
              UPDATE parses SET created_at = '{LONG_AGO}';",
             done = batches[0],
@@ -133,6 +141,11 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
         fs::write(folder.join("blobs/answers").join(id).join("prompt.json"), "{}").unwrap();
         make_old(&folder.join("blobs/answers").join(id), days);
     }
+    for id in [format!("{OLD}1"), format!("{OLD}2")] {
+        fs::write(folder.join("uploads").join(id), "PK..").unwrap();
+    }
+    fs::create_dir(folder.join("blobs/contents/outgrown")).unwrap();
+    fs::write(folder.join("blobs/contents/outgrown/grown.json"), "{}").unwrap();
     make_old(&folder.join("blobs/checkpoints"), 20);
     for day in ["2020-01-01", "2999-01-01"] {
         fs::create_dir_all(folder.join("quarantine").join(day).join("parses/x")).unwrap();
@@ -148,8 +161,8 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     let before = everything(folder);
     let announced = told(&gc(folder, &["--dry-run", "--json"]));
     assert_eq!(everything(folder), before, "a dry run writes nothing");
-    let kept_for_ever =
-        ["answers", "jobs", "batches", "idempotency", "audit", "superseded", "checkpoints"].map(|kind| format!("--keep-{kind}-days=0"));
+    let kept_for_ever = ["answers", "jobs", "batches", "idempotency", "audit", "superseded", "checkpoints", "uploads"]
+        .map(|kind| format!("--keep-{kind}-days=0"));
     let kept_for_ever: Vec<&str> = ["--dry-run", "--json"].into_iter().chain(kept_for_ever.iter().map(String::as_str)).collect();
     let little: Vec<String> = told(&gc(folder, &kept_for_ever))
         .into_iter()
@@ -171,8 +184,10 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
         ("idempotency keys of questions", 1),
         // The old one, and that of the batch.
         ("jobs", 2),
+        ("outgrown scans", 1),
         ("quarantine", 1),
         ("superseded parses", 1),
+        ("uploads in parts", 1),
     ];
     assert_eq!(entries, expected);
     assert!(gone.values().all(|(_, bytes)| *bytes > 0), "{gone:?}");
@@ -197,7 +212,7 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
             .map(|entry| entry.unwrap().file_name().to_owned())
             .collect::<Vec<_>>()
     };
-    assert_eq!(names("blobs/parses").len(), 1);
+    assert_eq!((names("blobs/parses").len(), names("uploads")), (1, vec![format!("{OLD}2")]));
     assert_eq!(names("blobs/answers"), std::slice::from_ref(&answer));
     assert_eq!((names("blobs/checkpoints").len(), names("quarantine")), (0, vec!["2999-01-01".to_owned()]));
     assert!(told(&gc(folder, &["--json"])).values().all(|gone| gone.0 == 0), "nothing is left to do");

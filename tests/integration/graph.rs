@@ -40,6 +40,10 @@ async fn a_scene_is_a_graph_in_three_formats() {
     let around = text(&format!("around={}", &mug[1..])).await;
     let around: uniground_types::graph::SceneGraph = serde_json::from_str(&around).unwrap();
     assert!(around.edges.iter().all(|edge| edge.from == mug || edge.to == mug) && around.nodes.len() < graph.nodes.len());
+    // Parts are known too.
+    let part = instances.iter().find(|instance| instance.level == uniground_types::scene::Level::Part).unwrap();
+    let of_part: uniground_types::graph::SceneGraph = serde_json::from_str(&text(&format!("around={}", part.id)).await).unwrap();
+    assert!(of_part.edges.iter().any(|edge| edge.relation == GraphRelation::PartOf), "{of_part:?}");
     let refused = problem(client.bytes(&format!("v1/scenes/{}/graph?around=9999", scene.id)).await);
     assert_eq!((refused.status, refused.code.as_str()), (404, "instance_not_found"));
     let refused = problem(client.bytes(&format!("v1/scenes/{}/graph?format=dot", scene.id)).await);

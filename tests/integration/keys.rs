@@ -142,8 +142,9 @@ async fn a_key_has_a_rate_and_a_quota() {
     assert!(admin.scenes(1, None).await.is_ok(), "one key's rate is nobody else's");
 
     let (robot, _) = holder(&admin, &url, NewKey { max_scenes: Some(1), ..wanted("robot", Scope::Write) }).await;
-    let upload =
-        async |client: &Client, name: &str, key: &str| client.create_scene_once(name, "application/zip", Scan::neutral().zip(), key).await;
+    let upload = async |client: &Client, name: &str, key: &str| {
+        client.create_scene_once(&[("name", name)], "application/zip", Scan::neutral().zip(), key).await
+    };
     let first = upload(&robot, "a", "k").await.unwrap();
     let refused = problem(upload(&robot, "b", "another").await);
     assert_eq!((refused.status, refused.code.as_str()), (403, "quota_used_up"));

@@ -30,6 +30,7 @@ const PACKAGES: [(&str, Floors); 3] = [
         &[
             &["grounding"],
             &["parse"],
+            &["changes"],
             &["approach", "export", "scene_parsing", "ingest"],
             &["models", "render"],
             &["scene"],
@@ -40,7 +41,7 @@ const PACKAGES: [(&str, Floors); 3] = [
         "crates/uniground-types/src",
         &[
             &["export"],
-            &["approach", "graph", "scenes", "instances", "service", "stats", "transcript", "batch", "keys"],
+            &["approach", "changes", "graph", "scenes", "instances", "service", "stats", "transcript", "batch", "keys", "uploads"],
             &["answer", "corrections", "links", "question", "settings", "job", "models"],
             &["placement"],
             &["scene", "problem"],

@@ -137,6 +137,17 @@ async fn what_goes_wrong_is_told_to_the_model() {
         .unwrap();
     assert_eq!(plain.status(), StatusCode::NOT_ACCEPTABLE);
     assert_eq!(plain.headers()[header::CONTENT_TYPE], "application/problem+json");
+    for body in ["hello", "[]", ""] {
+        let request = client.request(Method::POST, "mcp").header(header::ACCEPT, "application/json, text/event-stream");
+        let refused = request.header(header::CONTENT_TYPE, "application/json").body(body).send().await.unwrap();
+        assert_eq!(refused.status(), StatusCode::BAD_REQUEST, "{body}");
+        assert_eq!(refused.json::<Value>().await.unwrap()["code"], "malformed_json");
+    }
+    let cursor = call(client, "list_scenes", json!({"cursor": "x"})).await;
+    assert!(
+        cursor["isError"] == true && cursor["content"][0]["text"].as_str().unwrap().contains("next_cursor"),
+        "{cursor:#}"
+    );
     let get = client.request(Method::GET, "mcp").header(header::ACCEPT, "text/event-stream").send().await.unwrap();
     assert_eq!(get.status(), StatusCode::METHOD_NOT_ALLOWED);
     server.stop().await;

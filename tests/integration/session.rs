@@ -178,8 +178,8 @@ async fn the_report_tells_and_shows_what_every_stage_did() {
     let expected = [
         "import",
         "superpoints",
-        "planes",
         "masks_and_lifting",
+        "planes",
         "merging",
         "part_merging",
         "hierarchy",

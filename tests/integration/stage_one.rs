@@ -241,7 +241,7 @@ fn bare(positions: Vec<Point3<f32>>) -> SceneBundle {
         warnings: Vec::new(),
     };
     let colours = positions.iter().map(|p| [(p.x * 40.0) as u8, 90, 120]).collect();
-    SceneBundle { cloud: PointCloud { positions, colours }, frames: Vec::new(), report }
+    SceneBundle { cloud: PointCloud { positions, colours }, frames: Vec::new(), report, additions: Vec::new() }
 }
 
 #[test]

@@ -49,6 +49,8 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
         instance["things"] = Value::Array(Vec::new());
         // Nobody could correct anything then.
         (instance["given_name"], instance["dismissed"], instance["merged_from"]) = (Value::Null, false.into(), Value::Array(Vec::new()));
+        // No scene grew.
+        instance["gone"] = false.into();
     }
     let answers_told = String::from_utf8(left.told("answers.jsonl")).unwrap();
     let Left { data, told: _told } = left;
@@ -107,7 +109,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     let job = server.client.job(scene.job_id.as_deref().unwrap()).await.unwrap();
     assert_eq!((job.kind.as_str(), job.error), ("parse", None));
     // A key is remembered, what was up stays up, and a scene can go.
-    let created = server.client.create_scene_once("x", "application/zip", scan, "block").await.unwrap();
+    let created = server.client.create_scene_once(&[("name", "x")], "application/zip", scan, "block").await.unwrap();
     assert_eq!(created.scene.id, scene.id);
     let reparse = server.client.parse(&scene.id, &serde_json::json!({"preset": "paper"})).await.unwrap();
     let reparse = server.client.follow_job(&reparse.id, |_| {}).await.unwrap();
@@ -146,6 +148,15 @@ const LATER_ROWS: &[(&str, &str)] = &[
     (
         "question_keys",
         "INSERT INTO question_keys VALUES ('a-key', 'a-request', 'ANSWER', '2026-11-20T00:00:00Z')",
+    ),
+    (
+        "scene_changes",
+        "INSERT INTO scene_changes VALUES ('SCENE', 'PARSE', 'an-older-one', 1, '{}', '2026-11-20T00:00:00Z')",
+    ),
+    (
+        "uploads",
+        "INSERT INTO uploads (id, wanted, length, created_at, updated_at)
+         VALUES ('01a1ff70-0000-7000-8000-000000000005', '{}', 9, '2026-11-20T00:00:00Z', '2026-11-20T00:00:00Z')",
     ),
     ("spending", "INSERT INTO spending VALUES ('2026-11-20', 0.5)"),
     ("data_folder", "INSERT INTO data_folder VALUES ('a-folder', '2026-11-20T00:00:00Z')"),
@@ -262,7 +273,7 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
         assert_eq!(client.job(scene.job_id.as_deref().unwrap()).await.unwrap().state, JobState::Succeeded);
         // Where there are keys, each has idempotency keys of its own.
         if version < 6 {
-            let same = client.create_scene_once("x", "application/zip", scan, "block").await.unwrap();
+            let same = client.create_scene_once(&[("name", "x")], "application/zip", scan, "block").await.unwrap();
             assert_eq!(same.scene.id, scene.id, "schema {version}: its key is remembered");
         }
         let batches = client.batches(10, None).await.unwrap().batches;

@@ -43,6 +43,21 @@ def test_a_scan_is_uploaded_followed_and_asked_about(client: Client, few_frames:
     assert gone.value.code == "scene_not_found"
 
 
+def test_a_scene_grows_and_tells_what_changed(client: Client, few_frames: Path) -> None:
+    scene = client.upload(few_frames, name="grows").wait(timeout_s=120)
+    sofa = scene.ask("the sofa").answer.predicted_id
+    scene.add_frames(few_frames, idempotency_key="look 2").wait(timeout_s=120)
+    assert (scene.info.parse_version, scene.ask("the sofa").answer.predicted_id) == (2, sofa)
+    told = scene.changes()
+    assert (told.from_.version, told.to.version, told.alignment) == (1, 2, None)
+    assert told.changes.unchanged > 0
+    assert scene.changes(to=scene.id).alignment is not None
+    with pytest.raises(UnigroundError) as refused:
+        scene.add_frames(few_frames, world="map")
+    assert refused.value.code == "no_map"
+    scene.delete()
+
+
 def test_an_answer_has_its_boxes_as_arrays(scene: Scene) -> None:
     answer = scene.ask("the mug on the coffee table", top_k=3)
     assert answer.status == "grounded"

@@ -17,6 +17,7 @@
 #![warn(missing_docs)]
 
 mod exports;
+mod growth;
 mod reply;
 mod rooms;
 
@@ -84,23 +85,24 @@ impl Client {
         json(request.query(&[("name", name)])).await
     }
 
-    /// Uploads an archive, or finds the scene that the same `key` made before.
+    /// Uploads an archive, or finds the scene that the same `key` made before. `query` as the API describes it: `name`, `up`, `levelling` and
+    /// so on.
     ///
     /// # Errors
     /// [`ClientError`].
     pub async fn create_scene_once(
         &self,
-        name: &str,
+        query: &[(&str, &str)],
         media_type: &str,
         archive: impl Into<reqwest::Body>,
         key: &str,
     ) -> Result<Created, ClientError> {
         let request = self.request(Method::POST, "v1/scenes").header("content-type", media_type);
-        json(request.header("idempotency-key", key).query(&[("name", name)]).body(archive)).await
+        json(request.header("idempotency-key", key).query(query).body(archive)).await
     }
 
     /// Uploads whatever is a scan, known by its bytes: an archive, a `.sens` file, a cloud or a mesh. `query` as the API describes it:
-    /// `name`, `parse`, `up`, `preset`.
+    /// `name`, `parse`, `up`, `metres_per_unit`, `levelling`, `preset`.
     ///
     /// # Errors
     /// [`ClientError`].

@@ -11,6 +11,7 @@
 
 pub mod approach;
 pub mod background;
+pub mod changes;
 pub mod export;
 pub mod geometry;
 pub mod grounding;

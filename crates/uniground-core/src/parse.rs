@@ -1,10 +1,10 @@
 //! Stage 1 from end to end: an unpacked scan to a [`ParsedScene`], with the models that are at hand.
 
-use crate::ingest::{self, IngestError};
+use crate::ingest::{self, Grown, IngestError, part_folder};
 use crate::models::attributes;
 use crate::models::neural::{Models, Role};
 use crate::progress::Progress;
-use crate::scene::{FrameRef, ImportReport, ParsedScene};
+use crate::scene::{FrameRef, ImportReport, ParsedScene, SceneBundle, SourceToScene};
 use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::scene_parsing::correction::Corrector;
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
@@ -12,7 +12,7 @@ use crate::scene_parsing::masks::sam::{EncodedFrames, SamMasks};
 use crate::scene_parsing::masks::{MaskSource, Together};
 use crate::scene_parsing::{self, ParseError, Perception, StageOutcome, Stopwatch};
 use camino::Utf8Path;
-use uniground_types::settings::{ModelChoice, ParseModels, ParseSettings, PartChoice};
+use uniground_types::settings::{ImportSettings, ModelChoice, ParseModels, ParseSettings, PartChoice};
 
 /// Raised when stage 1 changes what it computes: older parses are kept, but not taken for new ones.
 pub const STAGE_1_VERSION: u32 = 5;
@@ -84,6 +84,45 @@ pub fn parse_scan(
     }
 }
 
+/// A scan and what was added to it since; the flag tells whether all of it was kept from before.
+fn import(
+    content: &Utf8Path,
+    settings: &ImportSettings,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+) -> Result<(SceneBundle, bool), ScanError> {
+    let added = Grown::read(content)?.map_or_else(Vec::new, |grown| grown.parts.into_iter().skip(1).collect());
+    let first = if added.is_empty() { content.to_owned() } else { part_folder(content, 0) };
+    let share = |parts: usize| parts as f32 / (added.len() + 1) as f32;
+    // Kept with paths relative to the folder, which may lie elsewhere tomorrow.
+    let below = |folder: &Utf8Path, path: &Utf8Path| path.strip_prefix(folder).unwrap_or(path).to_owned();
+    let load = || {
+        let bundle = ingest::load(&ingest::open(&first)?, settings, &progress.part(0.0, share(1)))?;
+        Ok::<_, ScanError>(bundle.with_paths(|path| below(&first, path)))
+    };
+    let (bundle, mut all_reused) = checkpoints.once("import", &(), load)?;
+    let mut bundle = bundle.with_paths(|path| first.join(path));
+    let to_scene = bundle.report.source_to_scene.unwrap_or(SourceToScene::IDENTITY);
+    let (mut checkpoints, mut known) = (checkpoints.clone(), None);
+    for (part, number) in added.iter().zip(1..) {
+        let folder = part_folder(content, number);
+        let made_of = format!(";{}", serde_json::to_string(part).map_err(std::io::Error::from)?);
+        checkpoints = checkpoints.depending_on(&made_of);
+        let cloud = known.as_ref().unwrap_or(&bundle.cloud);
+        let load = || {
+            let (first, looking) = (bundle.next_frame(), progress.part(share(number), share(number + 1)));
+            let to_scene = part.to_scene.unwrap_or(to_scene);
+            let addition = ingest::add(ingest::open(&folder)?, made_of, &to_scene, cloud, first, settings, &looking)?;
+            Ok::<_, ScanError>(addition.with_paths(|path| below(&folder, path)))
+        };
+        let (addition, reused) = checkpoints.once(&format!("import{number}"), &(), load)?;
+        all_reused &= reused;
+        known = Some(addition.applied_to(cloud));
+        bundle.additions.push(addition.with_paths(|path| folder.join(path)));
+    }
+    Ok((bundle, all_reused))
+}
+
 fn parse_with(
     content: &Utf8Path,
     settings: &ParseSettings,
@@ -94,16 +133,12 @@ fn parse_with(
     let mut watch = Stopwatch::default();
     let imported = if models.loaded.is_empty() { 0.25 } else { 0.01 };
     let bundle = watch.time("import", |outcome| {
-        // Kept with paths relative to the content, whose folder may lie elsewhere tomorrow.
-        let load = || {
-            let bundle = ingest::load(&ingest::open(content)?, &settings.import, &progress.part(0.0, imported))?;
-            Ok::<_, ScanError>(bundle.with_paths(|path| path.strip_prefix(content).unwrap_or(path).to_owned()))
-        };
-        let (bundle, reused) = checkpoints.once("import", &(), load)?;
-        *outcome = StageOutcome { produced: bundle.cloud.len(), reused };
-        Ok::<_, ScanError>(bundle.with_paths(|path| content.join(path)))
+        let (bundle, reused) = import(content, &settings.import, checkpoints, &progress.part(0.0, imported))?;
+        *outcome =
+            StageOutcome { produced: bundle.additions.last().map_or(bundle.cloud.len(), |last| last.kept.len() + last.new.len()), reused };
+        Ok::<_, ScanError>(bundle)
     })?;
-    let (import, frames) = (bundle.report.clone(), bundle.frames.clone());
+    let (import, frames) = bundle.in_all();
     let names = names_of(models);
     let parsing = &settings.parsing;
     let rgbd = RgbdMasks { settings: parsing.rgbd_masks };

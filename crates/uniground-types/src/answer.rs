@@ -204,6 +204,12 @@ pub struct CoordinateFrame {
     pub units: String,
 }
 
+impl Default for CoordinateFrame {
+    fn default() -> Self {
+        Self { up: "z".into(), units: "m".into() }
+    }
+}
+
 /// One call of a vision-language model.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]

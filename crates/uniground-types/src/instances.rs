@@ -9,7 +9,8 @@ use std::collections::BTreeMap;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct InstanceView {
-    /// Numbered from 1 within the parse: things in falling order of points, then parts and wholes; another parse numbers anew.
+    /// Numbered from 1 within the parse: things in falling order of points, then parts and wholes; another parse numbers anew, but for scenes
+    /// that have grown: what stays keeps its id there, and what comes is numbered on.
     pub id: InstanceId,
     /// A thing, a part of one, or a whole of several.
     #[serde(default)]
@@ -51,6 +52,9 @@ pub struct InstanceView {
     /// Somebody has said that it is no thing, or not one: no answer, and listed only with `level=all`.
     #[serde(default)]
     pub dismissed: bool,
+    /// Of a scene that has grown: it was there in an earlier version. Its id is never another's; dismissed as well.
+    #[serde(default)]
+    pub gone: bool,
     /// The instances that somebody has said are one thing, this one; empty for what the parse has found.
     #[serde(default)]
     pub merged_from: Vec<InstanceId>,

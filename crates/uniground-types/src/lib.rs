@@ -9,6 +9,7 @@
 pub mod answer;
 pub mod approach;
 pub mod batch;
+pub mod changes;
 pub mod corrections;
 pub mod export;
 pub mod geometry;
@@ -27,3 +28,4 @@ pub mod service;
 pub mod settings;
 pub mod stats;
 pub mod transcript;
+pub mod uploads;

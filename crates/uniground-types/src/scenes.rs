@@ -5,7 +5,7 @@ use crate::geometry::up_axis::UpAxis;
 use crate::job::{Job, JobError};
 use crate::placement::SceneToMap;
 use crate::scene::{ImportReport, ParseReport};
-use crate::settings::{ParseModels, ParsePreset, ParseSettings};
+use crate::settings::{LevellingChoice, ParseModels, ParsePreset, ParseSettings};
 use serde::{Deserialize, Deserializer, Serialize};
 
 /// How far a scene has come.
@@ -47,7 +47,7 @@ pub struct Scene {
     pub name: String,
     /// Whether questions can be asked.
     pub status: SceneStatus,
-    /// SHA-256 of the uploaded bytes, hex.
+    /// SHA-256 of the uploaded bytes, hex; of a scene that has grown, of what it is made of.
     pub content_hash: String,
     /// Number of the current parse, from 1; 0 before the first. Questions use the current one until a newer is ready.
     pub parse_version: u32,
@@ -142,6 +142,12 @@ pub struct ImportRequest {
     /// The axis that points up in the files, for scans that do not say; default: the axis the cameras hold up.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub up: Option<UpAxis>,
+    /// Length of one unit of the files' clouds and poses, metres, for files that are not in metres; default: told by their size.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub metres_per_unit: Option<f64>,
+    /// Whether a world that is tilted is turned level.
+    #[serde(default)]
+    pub levelling: LevellingChoice,
     /// Settings to parse with.
     #[serde(default)]
     pub preset: ParsePreset,
@@ -155,7 +161,15 @@ impl ImportRequest {
     /// Of a file or folder, to be parsed at once with the default settings.
     #[must_use]
     pub fn of(path: impl Into<String>) -> Self {
-        Self { path: path.into(), name: None, parse: true, up: None, preset: ParsePreset::default() }
+        Self {
+            path: path.into(),
+            name: None,
+            parse: true,
+            up: None,
+            metres_per_unit: None,
+            levelling: LevellingChoice::default(),
+            preset: ParsePreset::default(),
+        }
     }
 }
 

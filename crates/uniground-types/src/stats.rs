@@ -81,7 +81,7 @@ pub struct Spending {
 pub struct DiskUse {
     /// The database with its journal.
     pub database_bytes: u64,
-    /// Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were shown), `tmp`, `quarantine`. Measured in the
+    /// Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were shown), `uploads` (in parts), `tmp`, `quarantine`. Measured in the
     /// background, a minute apart at least; `null` until that was done once.
     pub blob_bytes: Option<BTreeMap<String, u64>>,
     /// What may still be written.
@@ -106,6 +106,8 @@ pub struct Retention {
     pub audit_days: u32,
     /// Parses, from when no scene and no answer refers to them.
     pub superseded_days: u32,
+    /// Uploads that come in parts, from the last part.
+    pub uploads_days: u32,
     /// Finished stages of parses, from their last use.
     pub checkpoints_days: u32,
     /// Of all finished stages together; those go first that were not used for longest.
@@ -124,6 +126,7 @@ impl Default for Retention {
             idempotency_days: 30,
             audit_days: 365,
             superseded_days: 30,
+            uploads_days: 7,
             checkpoints_days: 14,
             checkpoints_bytes: 20 << 30,
             quarantine_days: 7,

@@ -36,7 +36,7 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: NamedB
     let mut colours: Vec<Vec<[u8; 3]>> = vec![Vec::new(); objects.len()];
     let mut points: Vec<Vec<Point3<f32>>> = vec![Vec::new(); objects.len()];
     for (i, label) in label_of_point.iter().enumerate() {
-        if let Ok(object) = objects.binary_search_by_key(label, |o| o.id) {
+        if let Some(Ok(object)) = label.map(|label| objects.binary_search_by_key(&label, |o| o.id)) {
             colours[object].push(cloud.colours[i]);
             points[object].push(cloud.positions[i]);
         }
@@ -85,6 +85,7 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: NamedB
             found_for: None,
             merged_from: Vec::new(),
             dismissed: false,
+            gone: false,
         };
         if names == NamedBy::Annotated {
             give_name(&mut instance, &object.name);
@@ -148,7 +149,7 @@ fn points_of(annotations: &Annotations, cloud: &PointCloud) -> (PointCloud, Vec<
     let mut own = PointCloud::default();
     let mut instance_of_point = Vec::new();
     for (i, label) in annotations.label(cloud).iter().enumerate() {
-        if let Ok(object) = annotations.objects.binary_search_by_key(label, |o| o.id) {
+        if let Some(Ok(object)) = label.map(|label| annotations.objects.binary_search_by_key(&label, |o| o.id)) {
             own.positions.push(cloud.positions[i]);
             own.colours.push(cloud.colours[i]);
             instance_of_point.push(InstanceId(object as u32 + 1));

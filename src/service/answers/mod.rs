@@ -285,7 +285,7 @@ impl Service {
             degraded,
             stored: true,
             direction_convention,
-            frame: CoordinateFrame { up: "z".into(), units: "m".into() },
+            frame: CoordinateFrame::default(),
             in_frame: None,
             trace: Some(Trace { calls: calls.iter().map(call).collect(), corrections }),
             usage: usage(&calls),

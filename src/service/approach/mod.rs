@@ -35,7 +35,7 @@ impl Service {
             detail: String::new(),
             cells: None,
             floor_z_m: None,
-            frame: CoordinateFrame { up: "z".into(), units: "m".into() },
+            frame: CoordinateFrame::default(),
             in_frame: None,
         };
         if let Some(several) = answer.as_ref().map(|answer| answer.targets.len()).filter(|meant| *meant > 1) {

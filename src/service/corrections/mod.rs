@@ -12,15 +12,13 @@ use crate::error::Error;
 use crate::store::NewCorrection;
 use std::collections::BTreeSet;
 use uniground_core::grounding::pipeline::SceneSource;
-use uniground_core::scene::{Instance, InstanceId, Level, parts_of, views_of_all};
+use uniground_core::scene::{Instance, InstanceId, Level, Owners, parts_of};
 use uniground_core::scene_parsing::instances;
 use uniground_types::corrections::{Change, Correction, CorrectionList};
 use uniground_types::settings::ParsingSettings;
 
 /// Corrections a parse can have.
 const MOST: u32 = 5000;
-/// Views of what was merged.
-const MOST_VIEWS: usize = 5;
 const MAX_NAME_CHARS: usize = 100;
 const MAX_IDS: usize = 100;
 
@@ -120,36 +118,10 @@ impl StoredScene {
     fn merged(&self, members: &[InstanceId]) -> Result<Instance, Error> {
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
         let (known, of_point) = (self.instances(), self.instance_of_point()?);
-        let wanted = self.with_members(members);
-        // Of parts only boxes are known: of what was taken apart the points in them.
-        let has_points: BTreeSet<InstanceId> = of_point.iter().copied().collect();
-        let parts = wanted.iter().filter(|id| !has_points.contains(id)).map(|id| &known[id.0 as usize - 1]);
-        let parts: Vec<&Instance> = parts.filter(|part| part.merged_from.is_empty()).collect();
-        let is_meant = |point: usize, id: InstanceId| {
-            let was_taken_apart = || known.get((id.0 as usize).wrapping_sub(1)).is_some_and(|whole| whole.dismissed);
-            let position = &render_scene.cloud.positions[point];
-            wanted.contains(&id) || was_taken_apart() && parts.iter().any(|part| part.raw_box.contains(position))
-        };
-        let points = of_point.iter().enumerate().filter(|(point, id)| is_meant(*point, **id));
-        let points: Vec<u32> = points.map(|(point, _)| point as u32).collect();
-        if points.is_empty() {
-            return Err(Error::NotAThing { id: members[0] });
-        }
-        let merged = instances::of_points(&render_scene.cloud, &points, known, &settings.instances);
-        let shown: Vec<&Instance> = members.iter().map(|id| &known[id.0 as usize - 1]).collect();
-        Ok(Instance { views: views_of_all(&shown, MOST_VIEWS), merged_from: members.to_vec(), ..merged })
-    }
-
-    /// These, and what those of them that were merged themselves are made of.
-    fn with_members(&self, ids: &[InstanceId]) -> BTreeSet<InstanceId> {
-        let mut all = BTreeSet::new();
-        let mut open = ids.to_vec();
-        while let Some(id) = open.pop() {
-            if all.insert(id) {
-                open.extend(&self.instances()[id.0 as usize - 1].merged_from);
-            }
-        }
-        all
+        let owners = Owners::of(&of_point, known);
+        let owner = |point: usize| owners.of_point(of_point[point], &render_scene.cloud.positions[point]);
+        let merged = instances::merged(&render_scene.cloud, owner, members, known, &settings.instances);
+        merged.ok_or(Error::NotAThing { id: members[0] })
     }
 }
 

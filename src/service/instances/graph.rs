@@ -28,7 +28,7 @@ impl Service {
         Ok(SceneGraph {
             scene_id: row.id,
             parse_version: u32::try_from(row.parse_version).unwrap_or(0),
-            frame: CoordinateFrame { up: "z".into(), units: "m".into() },
+            frame: CoordinateFrame::default(),
             nodes,
             edges,
         })

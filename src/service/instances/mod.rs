@@ -45,6 +45,7 @@ fn view_of(instance: Instance, model_name: Option<String>, given_name: Option<St
         found_for,
         merged_from,
         dismissed,
+        gone,
     } = instance;
     let colours = colours.dominant().into_iter().map(|(name, share)| (name.word().to_owned(), share)).collect();
     InstanceView {
@@ -66,6 +67,7 @@ fn view_of(instance: Instance, model_name: Option<String>, given_name: Option<St
         model_name: model_name.filter(|name| !name.is_empty()),
         given_name,
         dismissed,
+        gone,
         merged_from,
         found_for,
         views,
@@ -79,19 +81,9 @@ impl Service {
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
     pub async fn instances(&self, scene_id: &str, levels: Levels, limit: u32, cursor: u32) -> Result<InstanceList, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
-        let (parse, mut names) = (self.loaded_parse(&parse_id).await?, self.names_of(&parse_id).await?);
-        let page = parse
-            .instances
-            .iter()
-            .filter(|i| i.id.0 > cursor && levels.lists(i.level, i.dismissed))
-            .take(limit as usize + 1)
-            .cloned();
-        let named = |instance: Instance| {
-            let name = names.remove(&instance.id.0);
-            let given = parse.renamed.get(&instance.id.0).cloned();
-            view_of(instance, name, given)
-        };
-        let mut page: Vec<InstanceView> = page.map(named).collect();
+        let parse = self.loaded_parse(&parse_id).await?;
+        let listed = parse.instances.iter().filter(|i| i.id.0 > cursor && levels.lists(i.level, i.dismissed));
+        let mut page = self.views_of(&parse, listed.take(limit as usize + 1)).await?;
         let more = page.len() > limit as usize;
         page.truncate(limit as usize);
         Ok(InstanceList { next_cursor: page.last().filter(|_| more).map(|i| i.id.0), instances: page })
@@ -99,13 +91,17 @@ impl Service {
 
     /// All instances of a parse but those that were dismissed, in order of id.
     pub(super) async fn shown_instances(&self, parse: &LoadedParse) -> Result<Vec<InstanceView>, Error> {
+        self.views_of(parse, parse.instances.iter().filter(|instance| !instance.dismissed)).await
+    }
+
+    /// Instances with the names they were given.
+    async fn views_of<'a>(&self, parse: &LoadedParse, instances: impl Iterator<Item = &'a Instance>) -> Result<Vec<InstanceView>, Error> {
         let mut names = self.names_of(&parse.id).await?;
-        let shown = parse.instances.iter().filter(|instance| !instance.dismissed).cloned();
-        let view = |instance: Instance| {
+        let view = |instance: &Instance| {
             let (name, given) = (names.remove(&instance.id.0), parse.renamed.get(&instance.id.0).cloned());
-            view_of(instance, name, given)
+            view_of(instance.clone(), name, given)
         };
-        Ok(shown.map(view).collect())
+        Ok(instances.map(view).collect())
     }
 
     /// # Errors

@@ -4,15 +4,14 @@ use super::{files, settings_hash};
 use crate::error::Error;
 use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
 use crate::service::{Service, job_failure};
-use crate::store::{NewParse, SceneRow, Scratch};
+use crate::store::{Continued, NewParse, SceneRow};
 use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 use tokio::task::spawn_blocking;
-use uniground_core::geometry::up_axis::UpAxis;
-use uniground_core::models::neural::Models;
+use uniground_core::ingest::Grown;
 use uniground_core::parse::{ParsedScan, STAGE_1_VERSION, parse_scan};
-use uniground_core::progress::Progress;
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
 
@@ -37,10 +36,24 @@ fn settings_of_any_version<'de, D: serde::Deserializer<'de>>(deserializer: D) ->
     serde_json::from_value(settings).map_err(serde::de::Error::custom)
 }
 
-/// The axis a finished job was told to take for up; nothing where its payload is of another version.
-pub(super) fn up_asked_for(payload: &str) -> Option<UpAxis> {
-    let payload: serde_json::Value = serde_json::from_str(payload).ok()?;
-    serde_json::from_value(payload.pointer("/settings/import/up")?.clone()).ok()
+/// How the files of a scan are read: what is true of them whatever they are parsed with.
+const READING: [&str; 3] = ["up", "metres_per_unit", "levelling"];
+
+/// Settings that are asked for, with what an earlier job was told of how the files are read, as far as they do not say it themselves.
+pub(super) fn with_reading_of(payload: &str, asked: Option<Value>) -> Option<Value> {
+    let told: Option<Value> = serde_json::from_str(payload).ok();
+    let Some(told) = told.as_ref().and_then(|told| told.pointer("/settings/import")) else { return asked };
+    let mut asked = asked.unwrap_or_else(|| json!({}));
+    // What is no object is refused, with a word on where, by whoever reads it.
+    let import = asked.as_object_mut().map(|settings| settings.entry("import").or_insert_with(|| json!({})));
+    if let Some(import) = import.and_then(Value::as_object_mut) {
+        for name in READING {
+            if let (Some(value), false) = (told.get(name), import.contains_key(name)) {
+                import.insert(name.to_owned(), value.clone());
+            }
+        }
+    }
+    Some(asked)
 }
 
 impl JobKind for ParseJob {
@@ -66,21 +79,46 @@ impl Service {
             return Ok(STORED_PARSE_USED.into());
         }
         let (content, hash) = (self.store.blobs.content(&scene.content_hash), scene.content_hash.clone());
-        // Every stage works on what the import made of the content.
-        let origin = serde_json::to_string(&(STAGE_1_VERSION, &scene.content_hash, &settings.import))?;
+        // Every stage works on what the import made of the content; of a scan that has grown, of what it began with.
+        let grown_from = first_upload(&content).await?;
+        let origin = serde_json::to_string(&(STAGE_1_VERSION, grown_from.as_ref().unwrap_or(&scene.content_hash), &settings.import))?;
+        let (span, start) = (tracing::Span::current(), Instant::now());
+        // Networks take nearly all of the time where they take part.
+        let (parsed_by, drawn_by) = if self.models.loaded.is_empty() { (0.8, 0.85) } else { (0.98, 0.985) };
         let (blobs, pool, models, job_settings) = (self.store.blobs.clone(), self.parsing.clone(), self.models.clone(), settings.clone());
-        let (span, new_id, start) = (tracing::Span::current(), self.store.new_id(), Instant::now());
+        let (entered, scan_folder, parsing) = (span.clone(), content.clone(), progress.part(0.0, parsed_by));
+        let work = move || {
+            let _entered = entered.enter();
+            let checkpoints = Checkpoints::kept_in(&blobs.use_checkpoints(&hash)?, &origin);
+            // In the pool of parses: what it does in parallel stays there, and gives way.
+            Ok::<_, Error>(pool.install(|| parse_scan(&scan_folder, &job_settings, &models, &checkpoints, &parsing))?)
+        };
+        let mut scan = spawn_blocking(work).await??;
+        // What people say of the scene from here on is of the parse that is being written.
+        let _correcting = match grown_from.is_some() {
+            true => Some(self.correcting.lock().await),
+            false => None,
+        };
+        let previous = match grown_from.is_some() {
+            true => self.previous_parse(&scene_id).await?,
+            false => None,
+        };
+        let (blobs, pool, id) = (self.store.blobs.clone(), self.parsing.clone(), self.store.new_id());
+        let place = blobs.parse(&id);
         let work = move || {
             let _entered = span.enter();
-            let kept_in = blobs.use_checkpoints(&hash)?;
-            let (folder, checkpoints) = (blobs.scratch()?, Checkpoints::kept_in(&kept_in, &origin));
-            // In the pool of parses: what it does in parallel stays there, and gives way.
-            let scan = pool.install(|| parse_content(&content, &job_settings, &models, &checkpoints, &folder, &progress))?;
-            let id = new_id;
-            blobs.publish(folder, &blobs.parse(&id))?;
-            Ok::<_, Error>((id, scan))
+            let folder = blobs.scratch()?;
+            let inherited = pool.install(|| {
+                let inherited = previous
+                    .map(|previous| previous.continue_in(&mut scan, &progress.part(parsed_by, parsed_by)))
+                    .transpose()?;
+                files::write(&scan, &content, &folder, &progress.part(parsed_by, drawn_by), &progress.part(drawn_by, 1.0))?;
+                Ok::<_, Error>(inherited)
+            })?;
+            blobs.publish(folder, &place)?;
+            Ok::<_, Error>((scan, inherited))
         };
-        let (id, ParsedScan { import, scene: parsed, models, .. }) = spawn_blocking(work).await??;
+        let (ParsedScan { import, scene: parsed, models, .. }, inherited) = spawn_blocking(work).await??;
 
         let inserted = self
             .store
@@ -94,6 +132,12 @@ impl Service {
                 report: &parsed.report,
                 extent: &parsed.extent,
                 instances: &parsed.instances,
+                continued: inherited.as_ref().map(|inherited| Continued {
+                    scene_id: &scene_id,
+                    from_parse: &inherited.parse_id,
+                    changes: &inherited.changes,
+                    corrections: &inherited.corrections,
+                }),
             })
             .await?;
         if inserted {
@@ -123,18 +167,26 @@ impl Service {
     }
 }
 
-/// Import and stage 1 from an unpacked archive to files in `folder`.
-fn parse_content(
-    content: &Utf8Path,
-    settings: &ParseSettings,
-    models: &Models,
-    checkpoints: &Checkpoints,
-    folder: &Scratch,
-    progress: &Progress,
-) -> Result<ParsedScan, Error> {
-    // Networks take nearly all of the time where they take part.
-    let (parsed_by, drawn_by) = if models.loaded.is_empty() { (0.8, 0.85) } else { (0.98, 0.985) };
-    let scan = parse_scan(content, settings, models, checkpoints, &progress.part(0.0, parsed_by))?;
-    files::write(&scan, content, folder, &progress.part(parsed_by, drawn_by), &progress.part(drawn_by, 1.0))?;
-    Ok(scan)
+/// The upload a scan began with, where it has grown since.
+async fn first_upload(content: &Utf8Path) -> Result<Option<String>, Error> {
+    let content = content.to_owned();
+    let grown = spawn_blocking(move || Grown::read(&content)).await??;
+    Ok(grown.and_then(|grown| grown.parts.into_iter().next()).map(|part| part.hash))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn how_files_are_read_stays_unless_somebody_says_otherwise() {
+        let payload = r#"{"scene_id": "s", "settings": {"import": {"up": "y", "metres_per_unit": 0.01, "levelling": "off", "fusion": {"voxel_m": 0.03}}}}"#;
+        let kept = json!({"import": {"up": "y", "metres_per_unit": 0.01, "levelling": "off"}});
+        assert_eq!(with_reading_of(payload, None), Some(kept));
+        let asked = json!({"import": {"up": null, "levelling": "auto"}, "parsing": {}});
+        let expected = json!({"import": {"up": null, "metres_per_unit": 0.01, "levelling": "auto"}, "parsing": {}});
+        assert_eq!(with_reading_of(payload, Some(asked)), Some(expected));
+        assert_eq!(with_reading_of("of another version", None), None);
+        assert_eq!(with_reading_of(payload, Some(json!([1]))), Some(json!([1])));
+    }
 }

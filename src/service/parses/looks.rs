@@ -6,13 +6,12 @@ use crate::service::answers::StoredScene;
 use crate::service::{EvidenceFile, Service};
 use crate::store::Scratch;
 use camino::Utf8PathBuf;
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::BufReader;
 use std::sync::Arc;
 use tokio::task::spawn_blocking;
 use uniground_core::grounding::pipeline::SceneSource;
-use uniground_core::scene::{FrameRef, InstanceId, Intrinsics, read_instance_of_point, write_even_points};
+use uniground_core::scene::{FrameRef, InstanceId, Intrinsics, Owners, read_instance_of_point, write_even_points};
 use uniground_core::scene_parsing::{ParseError, report_pictures};
 use uniground_types::scene::{FrameList, FrameView};
 
@@ -134,14 +133,10 @@ impl StoredScene {
 
     fn photograph_with_instances(&self, frame: &FrameRef) -> Result<Vec<u8>, Error> {
         let (render_scene, of_point) = (self.render_scene()?, self.instance_of_point()?);
-        let merged = self.instances().iter().filter(|instance| !instance.dismissed);
-        let merged: BTreeMap<InstanceId, InstanceId> = merged.flat_map(|all| all.merged_from.iter().map(|id| (*id, all.id))).collect();
-        let shown_as = |point: usize| {
-            let mut id = of_point.get(point).copied().unwrap_or_default();
-            while let Some(whole) = merged.get(&id) {
-                id = *whole;
-            }
-            id
+        let owners = Owners::of(&of_point, self.instances());
+        let shown_as = |point: usize| match of_point.get(point) {
+            Some(found) => owners.of_point(*found, &render_scene.cloud.positions[point]),
+            None => InstanceId::default(),
         };
         let drawn = report_pictures::photograph_with_instances(frame, &render_scene.cloud, self.instances(), shown_as);
         drawn.map_err(|error| ParseError::from(error).into())

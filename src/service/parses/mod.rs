@@ -1,6 +1,7 @@
 //! Parses: the same content with the same settings is parsed once.
 
 mod cache;
+mod continuing;
 mod files;
 mod job;
 mod looks;
@@ -68,7 +69,8 @@ impl Service {
         Ok(WantedParse { payload, key_id: caller.key_id().map(str::to_owned), stored })
     }
 
-    /// Parses a scene again: a preset with single values replaced. What is up was settled at the upload and stays, unless said.
+    /// Parses a scene again: a preset with single values replaced. How the files are read was settled at the upload and stays, unless
+    /// said: what is up, how long their unit is, whether they are levelled.
     ///
     /// # Errors
     /// [`Error`] for settings that make no sense, an unknown scene or a full queue.
@@ -79,14 +81,16 @@ impl Service {
         overrides: Option<serde_json::Value>,
         caller: &Caller,
     ) -> Result<Job, Error> {
-        let mut settings = ParseSettings::from_request(preset, overrides)?;
         let scene = self.scene_row(scene_id).await?;
-        if settings.import.up.is_none()
-            && let Some(job_id) = &scene.job_id
-            && let Some(job) = self.store.job(job_id).await?
-        {
-            settings.import.up = job::up_asked_for(&job.payload);
-        }
+        let told = match &scene.job_id {
+            Some(job_id) => self.store.job(job_id).await?,
+            None => None,
+        };
+        let overrides = match told {
+            Some(job) => job::with_reading_of(&job.payload, overrides),
+            None => overrides,
+        };
+        let settings = ParseSettings::from_request(preset, overrides)?;
         self.start_parse(scene_id, &settings, caller).await
     }
 

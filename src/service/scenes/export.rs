@@ -35,7 +35,7 @@ impl Service {
             scene_id: row.id,
             name: row.name,
             parse_version: u32::try_from(row.parse_version).unwrap_or(0),
-            frame: CoordinateFrame { up: "z".into(), units: "m".into() },
+            frame: CoordinateFrame::default(),
             instances: match format {
                 ExportFormat::Json => self.shown_instances(&parse).await?,
                 ExportFormat::Glb | ExportFormat::Ply | ExportFormat::Usdz => Vec::new(),

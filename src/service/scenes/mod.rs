@@ -1,11 +1,17 @@
 //! Scenes as the outside sees them.
 
+mod changes;
 mod export;
+mod growing;
 mod importing;
+mod pieces;
 mod uploads;
 
 pub use export::ExportFile;
+pub use growing::NewFrames;
+pub(super) use pieces::Pieces;
 pub use uploads::NewScene;
+pub(super) use uploads::{Asked, Received, check_name, what_comes};
 
 use super::{Caller, Service};
 use crate::error::Error;
@@ -18,7 +24,6 @@ use tokio::task::spawn_blocking;
 use uniground_types::placement::SceneToMap;
 use uniground_types::scenes::{Scene, SceneChange, SceneCounts, SceneList, SceneStatus};
 use uniground_types::settings::ParseSettings;
-use uploads::check_name;
 
 impl Service {
     /// # Errors

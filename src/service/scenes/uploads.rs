@@ -1,20 +1,21 @@
 //! Receiving an archive: streamed to disk and hashed, unpacked, checked, and only then a scene.
 
+use super::pieces::Pieces;
 use crate::error::Error;
 use crate::jobs::Job;
 use crate::service::parses::WantedParse;
 use crate::service::{Caller, MAX_UPLOADS, ParseJob, Service};
 use crate::store::{Inserted, Look, NewSceneRow, SceneRow, Scratch};
 use bytes::Bytes;
-use camino::Utf8Path;
-use futures::{Stream, StreamExt};
+use camino::{Utf8Path, Utf8PathBuf};
+use futures::Stream;
 use sha2::{Digest, Sha256};
-use std::io::Write;
+use std::fs::File;
+use std::io::{self, Read, Write};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
 use tempfile::NamedTempFile;
 use tokio::task::spawn_blocking;
-use tokio::time::timeout;
+use uniground_core::ingest::archive::UnpackLimits;
 use uniground_core::ingest::{self, Packed, what_it_is};
 use uniground_types::scenes::Scene;
 use uniground_types::settings::ParseSettings;
@@ -33,12 +34,24 @@ pub struct NewScene {
 }
 
 /// An archive on disk.
-struct Received {
-    file: NamedTempFile,
+pub struct Received {
+    path: Utf8PathBuf,
+    /// Goes with this, where it is nobody else's.
+    file: Option<NamedTempFile>,
     packed: Packed,
     /// SHA-256 of the bytes, hex.
-    hash: String,
-    bytes: u64,
+    pub hash: String,
+    pub bytes: u64,
+}
+
+/// What is asked to be made of an archive.
+pub struct Asked {
+    pub name: Option<String>,
+    pub parse: Option<ParseSettings>,
+    /// The caller's own.
+    pub idempotency_key: Option<String>,
+    /// The scene that key made before, and what identifies the request it came with, where that was noted.
+    pub made_before: Option<(SceneRow, Option<String>)>,
 }
 
 /// An archive unpacked and found to be a scan.
@@ -48,18 +61,13 @@ struct Unpacked {
     name: String,
 }
 
-/// Bytes that are hashed and written at once.
-const WRITE_BYTES: usize = 1 << 20;
-/// An upload that says nothing for so long is given up.
-const SILENCE: Duration = Duration::from_secs(20);
-/// So is one that is slower than this after a while: a scan of a megabyte would take a quarter of an hour.
-const LEAST_BYTES_PER_S: u64 = 1 << 10;
-const WHILE: Duration = Duration::from_secs(30);
+/// Bytes of a file that are read and hashed at once.
+const READ_BYTES: usize = 1 << 20;
 const MAX_NAME_CHARS: usize = 200;
 
 /// An archive being received.
+#[derive(Default)]
 struct Receiving {
-    file: NamedTempFile,
     /// The first bytes.
     head: Vec<u8>,
     hasher: Sha256,
@@ -67,25 +75,42 @@ struct Receiving {
 }
 
 impl Receiving {
-    fn write(&mut self, chunks: Vec<Bytes>) -> std::io::Result<()> {
-        for chunk in chunks {
-            let missing = Packed::HEAD_BYTES.saturating_sub(self.head.len()).min(chunk.len());
-            self.head.extend_from_slice(&chunk[..missing]);
-            self.bytes += chunk.len() as u64;
-            self.hasher.update(&chunk);
-            self.file.write_all(&chunk)?;
-        }
-        Ok(())
+    fn take(&mut self, chunk: &[u8]) {
+        let missing = Packed::HEAD_BYTES.saturating_sub(self.head.len()).min(chunk.len());
+        self.head.extend_from_slice(&chunk[..missing]);
+        self.bytes += chunk.len() as u64;
+        self.hasher.update(chunk);
     }
 
-    /// What is coming, once enough of it is there.
-    fn packed(&self, file_name: &str) -> Result<Packed, Error> {
-        Packed::of_head(&self.head, file_name).ok_or(Error::NoScan { what: what_it_is(&self.head) })
-    }
-
-    fn finish(self, packed: Packed) -> Received {
+    fn finish(self, path: Utf8PathBuf, file: Option<NamedTempFile>, file_name: &str) -> Result<Received, Error> {
+        let packed = what_comes(&self.head, file_name)?;
         let hash = self.hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-        Received { file: self.file, packed, hash, bytes: self.bytes }
+        Ok(Received { path, file, packed, hash, bytes: self.bytes })
+    }
+}
+
+/// What is coming, by its first bytes.
+pub fn what_comes(head: &[u8], file_name: &str) -> Result<Packed, Error> {
+    Packed::of_head(head, file_name).ok_or(Error::NoScan { what: what_it_is(head) })
+}
+
+impl Received {
+    /// Unpacks it into a folder, which is there; blocks.
+    pub fn unpack(&self, into: &Utf8Path, limits: &UnpackLimits) -> Result<(), Error> {
+        Ok(self.packed.unpack(&self.path, into, limits)?)
+    }
+
+    /// An archive that is on the disk already, read once; it stays there.
+    pub fn read(path: Utf8PathBuf, file_name: &str) -> Result<Self, Error> {
+        let (mut receiving, mut file, mut chunk) = (Receiving::default(), File::open(&path)?, vec![0; READ_BYTES]);
+        loop {
+            match file.read(&mut chunk) {
+                Ok(0) => return receiving.finish(path, None, file_name),
+                Ok(read) => receiving.take(&chunk[..read]),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error.into()),
+            }
+        }
     }
 }
 
@@ -124,6 +149,20 @@ impl Service {
         let file_name = file_name.or_else(|| name.clone()).unwrap_or_default();
         let received = Arc::new(self.receive(body, &file_name).await?);
         drop(place);
+        self.make_scene(Asked { name, parse, idempotency_key, made_before }, received, caller).await
+    }
+
+    /// Makes a scene of an archive that is there, and starts parsing it.
+    ///
+    /// # Errors
+    /// As [`create_scene`](Self::create_scene).
+    pub(in crate::service) async fn make_scene(
+        &self,
+        asked: Asked,
+        received: Arc<Received>,
+        caller: &Caller,
+    ) -> Result<(Scene, Option<Job>), Error> {
+        let Asked { name, parse, idempotency_key, made_before } = asked;
         let request = request_of(&received.hash, name.as_deref(), parse.as_ref())?;
         if let Some((scene, before)) = made_before {
             // Servers of before requests were noted believed the key.
@@ -181,10 +220,16 @@ impl Service {
         }
     }
 
-    async fn check_quota(&self, caller: &Caller) -> Result<(), Error> {
+    pub(in crate::service) async fn check_quota(&self, caller: &Caller) -> Result<(), Error> {
+        self.check_quota_beside(0, caller).await
+    }
+
+    /// Whether a key may have one more scene, where so many are on their way.
+    pub(in crate::service) async fn check_quota_beside(&self, coming: u32, caller: &Caller) -> Result<(), Error> {
         let Some(key) = &caller.key else { return Ok(()) };
         let Some(most) = key.row.max_scenes else { return Ok(()) };
-        if self.store.scenes_of_key(&key.row.id).await? >= most { Err(Error::TooManyScenes { most }) } else { Ok(()) }
+        let scenes = self.store.scenes_of_key(&key.row.id).await?.saturating_add(coming);
+        if scenes >= most { Err(Error::TooManyScenes { most }) } else { Ok(()) }
     }
 
     /// The scene an idempotency key made. A server that was killed in the middle may have left it without its job.
@@ -209,43 +254,31 @@ impl Service {
         Ok(wrong.is_empty())
     }
 
-    /// Streams a body to a temporary file, hashed and written off the async threads a megabyte at a time; a slow disk slows the sender.
-    /// Nothing but the connection waits for a sender that is slow.
-    async fn receive<E>(&self, mut body: impl Stream<Item = Result<Bytes, E>> + Unpin, file_name: &str) -> Result<Received, Error> {
+    /// Streams a body to a temporary file, hashed and written off the async threads.
+    pub(super) async fn receive<E>(&self, body: impl Stream<Item = Result<Bytes, E>> + Unpin, file_name: &str) -> Result<Received, Error> {
         let max_bytes = self.limits.max_upload_bytes;
         let tmp = self.store.blobs.tmp().to_owned();
-        let begun = Instant::now();
-        let file = spawn_blocking(move || NamedTempFile::new_in(tmp)).await??;
-        let mut receiving = Receiving { file, head: Vec::new(), hasher: Sha256::new(), bytes: 0 };
-        let (mut received, mut waiting, mut waiting_bytes) = (0, Vec::new(), 0);
-        let too_slow = || Error::UploadTooSlow { bytes_per_s: LEAST_BYTES_PER_S, silence_s: SILENCE.as_secs() };
-        loop {
-            let chunk = timeout(SILENCE, body.next()).await.map_err(|_| too_slow())?;
-            let is_last = chunk.is_none();
-            if let Some(chunk) = chunk {
-                let chunk = chunk.map_err(|_| Error::UploadInterrupted { received })?;
-                received += chunk.len() as u64;
-                if received > max_bytes {
-                    return Err(Error::UploadTooLarge { max_bytes });
+        let mut file = spawn_blocking(move || NamedTempFile::new_in(tmp)).await??;
+        let mut receiving = Receiving::default();
+        let mut pieces = Pieces::of(body, max_bytes, max_bytes);
+        while let Some(piece) = pieces.next().await? {
+            let written = spawn_blocking(move || {
+                for chunk in piece {
+                    receiving.take(&chunk);
+                    file.write_all(&chunk)?;
                 }
-                let elapsed = begun.elapsed();
-                if elapsed > WHILE && received < LEAST_BYTES_PER_S * elapsed.as_secs() {
-                    return Err(too_slow());
-                }
-                waiting_bytes += chunk.len();
-                waiting.push(chunk);
-            }
-            if is_last || waiting_bytes >= WRITE_BYTES {
-                let (chunks, mut own) = (std::mem::take(&mut waiting), receiving);
-                waiting_bytes = 0;
-                receiving = spawn_blocking(move || own.write(chunks).map(|()| own)).await??;
-                // Nobody sends a whole video to hear that it is none.
-                let packed = receiving.packed(file_name)?;
-                if is_last {
-                    return Ok(receiving.finish(packed));
-                }
+                Ok::<_, io::Error>((file, receiving))
+            });
+            (file, receiving) = written.await??;
+            // Nobody sends a whole video to hear that it is none.
+            if receiving.head.len() == Packed::HEAD_BYTES {
+                what_comes(&receiving.head, file_name)?;
             }
         }
+        let path = Utf8Path::from_path(file.path())
+            .ok_or_else(|| io::Error::other("the data folder's path is not UTF-8"))?
+            .to_owned();
+        receiving.finish(path, Some(file), file_name)
     }
 
     /// Unpacks what came and puts it through the importer's checks.
@@ -253,9 +286,11 @@ impl Service {
         let (blobs, limits) = (self.store.blobs.clone(), self.limits.unpack);
         spawn_blocking(move || {
             let folder = blobs.scratch()?;
-            let archive =
-                Utf8Path::from_path(received.file.path()).ok_or_else(|| std::io::Error::other("the data folder's path is not UTF-8"))?;
-            received.packed.unpack(archive, folder.path(), &limits)?;
+            received.unpack(folder.path(), &limits)?;
+            if let Some(file) = &received.file {
+                // It is all unpacked: nothing of the archive that is still in memory has to reach the disk.
+                file.as_file().set_len(0)?;
+            }
             let name = name_or_scene(ingest::open(folder.path())?.name);
             Ok(Unpacked { folder, name })
         })
@@ -283,7 +318,7 @@ fn name_or_scene(name: Option<String>) -> String {
 }
 
 /// A scene's name is one line of text.
-pub(super) fn check_name(pointer: &str, name: &str) -> Result<(), Error> {
+pub(in crate::service) fn check_name(pointer: &str, name: &str) -> Result<(), Error> {
     if name.trim().is_empty() {
         return Err(Error::invalid(pointer, "a name must not be empty"));
     }

@@ -3,6 +3,7 @@
 
 use camino::{Utf8Path, Utf8PathBuf};
 use sha2::{Digest, Sha256};
+use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::fs::{self, File};
 use std::io::{self, Read};
@@ -29,22 +30,39 @@ pub enum Look {
     Bytes,
 }
 
-/// Writes down what `folder` holds and puts all of it on the disk.
-pub fn seal(folder: &Utf8Path) -> io::Result<()> {
+/// Sums that are known, by file.
+pub type Sums = BTreeMap<Utf8PathBuf, String>;
+
+/// Writes down what `folder` holds and puts all of it on the disk. Files whose sums are known are not read again.
+pub fn seal(folder: &Utf8Path, known: &Sums) -> io::Result<()> {
     let files = files_below(folder)?;
-    let mut sums = String::new();
-    for file in &files {
-        let _ = writeln!(sums, "{}  {file}", hash_of(&folder.join(file))?);
+    if files.len() <= SYNC_ONE_BY_ONE {
+        fs::write(folder.join(SUMS), sums_of(folder, &files, known)?)?;
+        let folders: std::collections::BTreeSet<_> =
+            files.iter().filter_map(|file| file.parent()).map(|parent| folder.join(parent)).collect();
+        for path in files.iter().map(|file| folder.join(file)).chain([folder.join(SUMS)]).chain(folders) {
+            File::open(path)?.sync_all()?;
+        }
+        return File::open(folder)?.sync_all();
     }
+    // The disk writes while the sums are made; what is left is the sums themselves.
+    let sums = std::thread::scope(|scope| {
+        let synced = scope.spawn(|| sync_everything(folder));
+        let sums = sums_of(folder, &files, known)?;
+        synced.join().map_err(|_| io::Error::other("the disk could not be waited for"))??;
+        Ok::<_, io::Error>(sums)
+    })?;
     fs::write(folder.join(SUMS), sums)?;
-    if files.len() > SYNC_ONE_BY_ONE {
-        return sync_everything(folder);
+    sync_everything(folder)
+}
+
+fn sums_of(folder: &Utf8Path, files: &[Utf8PathBuf], known: &Sums) -> io::Result<String> {
+    let mut sums = String::new();
+    for file in files {
+        let sum = known.get(file).map_or_else(|| hash_of(&folder.join(file)), |sum| Ok(sum.clone()))?;
+        let _ = writeln!(sums, "{sum}  {file}");
     }
-    let folders: std::collections::BTreeSet<_> = files.iter().filter_map(|file| file.parent()).map(|parent| folder.join(parent)).collect();
-    for path in files.iter().map(|file| folder.join(file)).chain([folder.join(SUMS)]).chain(folders) {
-        File::open(path)?.sync_all()?;
-    }
-    File::open(folder)?.sync_all()
+    Ok(sums)
 }
 
 #[cfg(target_os = "linux")]
@@ -56,6 +74,24 @@ pub fn sync_everything(folder: &Utf8Path) -> io::Result<()> {
 pub fn sync_everything(_: &Utf8Path) -> io::Result<()> {
     rustix::fs::sync();
     Ok(())
+}
+
+/// Gives `to` the files of a sealed folder, below `below`, without copying them where the disk can; their sums.
+pub fn share(sealed: &Utf8Path, to: &Utf8Path, below: &Utf8Path) -> io::Result<Sums> {
+    for file in files_below(sealed)? {
+        let (from, place) = (sealed.join(&file), to.join(below).join(&file));
+        fs::create_dir_all(place.parent().unwrap_or(to))?;
+        // Published files never change: one may have two names.
+        if fs::hard_link(&from, &place).is_err() {
+            fs::copy(&from, &place)?;
+        }
+    }
+    let sums = match fs::read_to_string(sealed.join(SUMS)) {
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Sums::new()),
+        sums => sums?,
+    };
+    let sums = sums.lines().filter_map(|line| line.split_once("  "));
+    Ok(sums.map(|(sum, file)| (below.join(file), sum.to_owned())).collect())
 }
 
 /// What is wrong with a folder; nothing where nothing was written down about it, as long as it is there.

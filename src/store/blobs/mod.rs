@@ -5,6 +5,7 @@
 //! blobs/parses/<id>/cloud.ply  instances.ply  embeddings.npy  embedding_norms.npy  report/  views/<instance>-<view>-{crop,frame}.jpg
 //! blobs/checkpoints/<sha256>/...  finished stages of parses of that content
 //! blobs/answers/<id>/prompt.json  reply.json  *.jpg   what a model was shown and said for an answer
+//! uploads/<id>                    what has come of an upload that comes in parts
 //! tmp/                            uploads and folders being written, folders being removed; emptied after a start
 //! ```
 //! A folder is written under `tmp/`, put on the disk, and moved into place as a whole; the row that speaks of it comes last. So a blob
@@ -12,10 +13,13 @@
 
 mod aging;
 pub(super) mod checksums;
+mod growing;
 mod sizes;
 
 pub use aging::{KeptCheckpoints, size_of};
+use checksums::Sums;
 pub use checksums::{Damage, Look};
+pub use growing::GrowingFile;
 pub use sizes::Measured;
 
 use super::data_folder::sync_folder;
@@ -69,7 +73,7 @@ pub const KINDS: [&str; 4] = ["contents", "parses", "checkpoints", "answers"];
 impl Blobs {
     pub(super) fn open(data_dir: &Utf8Path) -> io::Result<Self> {
         let blobs = Self { root: data_dir.join("blobs"), tmp: data_dir.join("tmp"), hands: Hands::Free };
-        for folder in KINDS.map(|kind| blobs.root.join(kind)).iter().chain([&blobs.tmp]) {
+        for folder in KINDS.map(|kind| blobs.root.join(kind)).iter().chain([&blobs.tmp, &blobs.uploads()]) {
             fs::create_dir_all(folder)?;
         }
         Ok(blobs)
@@ -175,6 +179,14 @@ impl Blobs {
     /// # Errors
     /// Those of the file system.
     pub fn publish(&self, scratch: Scratch, place: &Utf8Path) -> io::Result<()> {
+        self.publish_knowing(scratch, place, &Sums::new())
+    }
+
+    /// As [`publish`](Self::publish); files whose sums are known are not read again.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn publish_knowing(&self, scratch: Scratch, place: &Utf8Path, known: &Sums) -> io::Result<()> {
         if place.exists() {
             if checksums::look(place, Look::Bytes)?.is_empty() {
                 return Ok(());
@@ -182,9 +194,37 @@ impl Blobs {
             tracing::warn!(blob = %place, "a damaged folder is replaced");
             drop(self.take_away(place)?);
         }
-        checksums::seal(&scratch.path)?;
+        checksums::seal(&scratch.path, known)?;
         fs::rename(&scratch.path, place)?;
         sync_folder(place.parent().unwrap_or(place))
+    }
+
+    /// Gives a folder that is to be published the files of one that is, below `below`, without copying them where the disk can; their sums.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn share(&self, published: &Utf8Path, with: &Scratch, below: &Utf8Path) -> io::Result<Sums> {
+        checksums::share(published, with.path(), below)
+    }
+
+    /// Finished stages of one content are those of another that has grown from it.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn inherit_checkpoints(&self, from: &str, to: &str) -> io::Result<()> {
+        let (from, to) = (self.checkpoints(from), self.use_checkpoints(to)?);
+        if !from.is_dir() {
+            return Ok(());
+        }
+        for entry in from.read_dir_utf8()? {
+            let entry = entry?;
+            if !entry.file_type()?.is_file() {
+                continue;
+            }
+            // Logs are appended to: each content has its own.
+            fs::copy(entry.path(), to.join(entry.file_name()))?;
+        }
+        Ok(())
     }
 
     /// What is wrong with a published folder.

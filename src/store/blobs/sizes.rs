@@ -15,7 +15,7 @@ const PAUSE: Duration = Duration::from_millis(5);
 /// What goes on changing after it was written; other folders stay as they were published.
 const CHANGING: &str = "checkpoints";
 /// Folders beside `blobs/` that files lie in.
-const BESIDE: [&str; 2] = ["tmp", "quarantine"];
+const BESIDE: [&str; 3] = ["uploads", "tmp", "quarantine"];
 
 /// Sizes of folders that were measured before, by a hash of kind and name.
 #[derive(Debug, Default)]

@@ -42,6 +42,8 @@ pub struct InstanceRecord {
     found_for: Option<String>,
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     merged_from: Vec<InstanceId>,
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    gone: bool,
 }
 
 impl From<&Instance> for InstanceRecord {
@@ -67,6 +69,7 @@ impl From<&Instance> for InstanceRecord {
             found_for,
             merged_from,
             dismissed: _, // corrections are kept as such
+            gone,
         } = instance.clone();
         Self {
             id,
@@ -87,6 +90,7 @@ impl From<&Instance> for InstanceRecord {
             given_name,
             found_for,
             merged_from,
+            gone,
         }
     }
 }
@@ -112,6 +116,7 @@ impl From<InstanceRecord> for Instance {
             given_name,
             found_for,
             merged_from,
+            gone,
         } = record;
         Self {
             id,
@@ -132,7 +137,8 @@ impl From<InstanceRecord> for Instance {
             given_name,
             found_for,
             merged_from,
-            dismissed: false,
+            dismissed: gone,
+            gone,
         }
     }
 }

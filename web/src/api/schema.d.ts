@@ -506,6 +506,23 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/scenes/{scene_id}/changes": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** What changed in a scene since an earlier version of it, or from this scan to another one of the same room. */
+        get: operations["get_changes"];
+        put?: never;
+        post?: never;
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/scenes/{scene_id}/cloud.ply": {
         parameters: {
             query?: never;
@@ -647,7 +664,13 @@ export interface paths {
         /** The photographs of a scan: where each was taken from, and with what camera. */
         get: operations["list_frames"];
         put?: never;
-        post?: never;
+        /**
+         * Adds frames to a scene: colour and depth pictures with poses, in any layout that a scan may have.
+         * @description They are checked against the scene before anything is kept, and parsed in the background: what was seen of frames before is used again.
+         *     What the new frames look through is gone, surfaces they find are new. What stays keeps its id, names and corrections;
+         *     `GET /v1/scenes/{scene_id}/changes` tells what came, went and moved. Questions are answered as before until then.
+         */
+        post: operations["add_frames"];
         delete?: never;
         options?: never;
         head?: never;
@@ -961,6 +984,54 @@ export interface paths {
         options?: never;
         head?: never;
         patch?: never;
+        trace?: never;
+    };
+    "/v1/uploads": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Begins an upload that comes in parts.
+         * @description In the words of [tus 1.0](https://tus.io/protocols/resumable-upload), for its clients. `Location` is the upload; its bytes go there with
+         *     `PATCH`, from the offset that `HEAD` tells. The first of them may come with this request, as `application/offset+octet-stream`. When all
+         *     are there it becomes a scene, exactly as `POST /v1/scenes` makes one.
+         */
+        post: operations["create_upload"];
+        delete?: never;
+        /** Tells what of tus this server can do. */
+        options: operations["upload_capabilities"];
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
+    "/v1/uploads/{upload_id}": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        /** An upload as it stands: how much of it is there, the scene it has become, or why there is none. */
+        get: operations["get_upload"];
+        put?: never;
+        /** The same as `PATCH` or `DELETE`, for those whose network lets neither through: `X-HTTP-Method-Override` says which. */
+        post: operations["append_to_upload_by_post"];
+        /** Gives an upload up, or forgets one that is over; its scene stays. */
+        delete: operations["delete_upload"];
+        options?: never;
+        /** How much of an upload is there, in headers. */
+        head: operations["get_upload_offset"];
+        /**
+         * Goes on with an upload, from the offset it is at.
+         * @description With its last bytes it becomes a scene, which `uniground-scene-id` names; content that is no scan is refused with what is wrong with it.
+         *     What came of a part that breaks off is kept; of one with a checksum, which can not be checked then, nothing.
+         */
+        patch: operations["append_to_upload"];
         trace?: never;
     };
 }
@@ -1451,6 +1522,35 @@ export interface components {
             /** @enum {string} */
             kind: "split";
         };
+        /** @description A thing that changed. */
+        ChangedThing: {
+            /** @description Its box, metres, in the coordinates of that look. */
+            box: components["schemas"]["Aabb"];
+            /** @description In the look it is in: the earlier one for what is gone, the later one for what appeared. */
+            id: components["schemas"]["InstanceId"];
+            /** @description What it is called. */
+            label: string;
+        };
+        /** @description Things that are not as they were. Floor, walls and ceilings are left out. */
+        Changes: {
+            /** @description Things that stand where nothing was before. */
+            appeared: components["schemas"]["ChangedThing"][];
+            /** @description Things nobody had seen before, though they may have been there: no frame had looked at their places, or too few for it to be known. */
+            first_seen: components["schemas"]["ChangedThing"][];
+            /** @description Things whose place is empty now. */
+            gone: components["schemas"]["ChangedThing"][];
+            /** @description Things that are gone in one place and, alike in size, colour and name, appeared in another. */
+            moved: components["schemas"]["MovedThing"][];
+            /** @description Things in places that the later scan did not look at: nobody knows whether they are still there. */
+            not_seen: components["schemas"]["ChangedThing"][];
+            /** @description Things of before that are no things of their own any more, though their surfaces are still there: the same points are grouped otherwise. */
+            regrouped: components["schemas"]["ChangedThing"][];
+            /**
+             * Format: int32
+             * @description How many things stayed.
+             */
+            unchanged: number;
+        };
         /** @description The frame all coordinates are in. */
         CoordinateFrame: {
             /**
@@ -1532,7 +1632,7 @@ export interface components {
         /** @description Bytes on the disk. */
         DiskUse: {
             /**
-             * @description Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were shown), `tmp`, `quarantine`. Measured in the
+             * @description Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were shown), `uploads` (in parts), `tmp`, `quarantine`. Measured in the
              *     background, a minute apart at least; `null` until that was done once.
              */
             blob_bytes?: {
@@ -1913,6 +2013,13 @@ export interface components {
         };
         /** @description A scan on the server's own disk. */
         ImportRequest: {
+            /** @description Whether a world that is tilted is turned level. */
+            levelling?: components["schemas"]["LevellingChoice"];
+            /**
+             * Format: double
+             * @description Length of one unit of the files' clouds and poses, metres, for files that are not in metres; default: told by their size.
+             */
+            metres_per_unit?: number | null;
             /** @description Name of the scene; default: what the archive calls itself. */
             name?: string | null;
             /**
@@ -2062,12 +2169,17 @@ export interface components {
             found_for?: string | null;
             /** @description What somebody has said it is called; `null` where nobody has. */
             given_name?: string | null;
+            /** @description Of a scene that has grown: it was there in an earlier version. Its id is never another's; dismissed as well. */
+            gone?: boolean;
             /**
              * Format: float
              * @description Metres from the floor to the bottom of `box`; negative where it reaches below.
              */
             height_above_floor_m: number;
-            /** @description Numbered from 1 within the parse: things in falling order of points, then parts and wholes; another parse numbers anew. */
+            /**
+             * @description Numbered from 1 within the parse: things in falling order of points, then parts and wholes; another parse numbers anew, but for scenes
+             *     that have grown: what stays keeps its id there, and what comes is numbered on.
+             */
             id: components["schemas"]["InstanceId"];
             /** @description What the encoder would call it, without having heard a question. */
             label: string;
@@ -2422,6 +2534,18 @@ export interface components {
             parser?: string;
             /** @description Decided: a vision-language model with the version of its prompt, or the built-in reasoner, like `builtin-3`. */
             reasoner: string;
+        };
+        /** @description A thing that is elsewhere. */
+        MovedThing: {
+            /** @description As it is, in those of the later one. */
+            after: components["schemas"]["ChangedThing"];
+            /** @description As it was, in the coordinates of the earlier look. */
+            before: components["schemas"]["ChangedThing"];
+            /**
+             * Format: float
+             * @description Between the middles of the two boxes, metres.
+             */
+            distance_m: number;
         };
         /** @description A name the encoder would give without having heard a question. */
         NameGuess: {
@@ -3094,6 +3218,11 @@ export interface components {
              * @description Parses, from when no scene and no answer refers to them.
              */
             superseded_days: number;
+            /**
+             * Format: int32
+             * @description Uploads that come in parts, from the last part.
+             */
+            uploads_days: number;
         };
         /** @description The built-in masks: even patches of colour and surface, joined into things. */
         RgbdSettings: {
@@ -3272,9 +3401,28 @@ export interface components {
              */
             wholes?: boolean;
         };
+        /** @description From the coordinates of the earlier scan to those of the later one: `to = rotation * from + translation_m`. */
+        ScanAlignment: {
+            /**
+             * Format: float
+             * @description Share of the earlier scan's points that have one of the later scan's within 5 cm.
+             */
+            overlap: number;
+            /** @description Whether it was refined by laying the two clouds over each other. */
+            refined: boolean;
+            /**
+             * Format: float
+             * @description Their root mean square distance to its surfaces, metres.
+             */
+            rms_m: number;
+            /** @description Unit quaternion `x, y, z, w`. */
+            rotation: number[];
+            /** @description Metres. */
+            translation_m: number[];
+        };
         /** @description A scene: one uploaded scan and its current parse. */
         Scene: {
-            /** @description SHA-256 of the uploaded bytes, hex. */
+            /** @description SHA-256 of the uploaded bytes, hex; of a scene that has grown, of what it is made of. */
             content_hash: string;
             counts?: components["schemas"]["SceneCounts"] | null;
             /** @description When it was uploaded, RFC 3339 UTC. */
@@ -3314,6 +3462,16 @@ export interface components {
             /** @description One line of 1 to 200 characters, not blank, without control characters. */
             name?: string | null;
             scene_to_map?: components["schemas"]["SceneToMap"] | null;
+        };
+        /** @description What changed in a scene: since an earlier version of it, or from one scan of a room to another. */
+        SceneChanges: {
+            alignment?: components["schemas"]["ScanAlignment"] | null;
+            /** @description What is different. */
+            changes: components["schemas"]["Changes"];
+            /** @description The earlier look. */
+            from: components["schemas"]["SceneVersion"];
+            /** @description The later one. */
+            to: components["schemas"]["SceneVersion"];
         };
         /** @description Sizes of a scene's current parse. */
         SceneCounts: {
@@ -3415,6 +3573,16 @@ export interface components {
              *     ]
              */
             translation_m: number[];
+        };
+        /** @description A scene as it was parsed at some time. */
+        SceneVersion: {
+            /** @description UUIDv7 of the scene. */
+            scene_id: string;
+            /**
+             * Format: int32
+             * @description Number of its parse, from 1.
+             */
+            version: number;
         };
         /**
          * @description What a key lets its holder do; each includes those before it.
@@ -3824,6 +3992,37 @@ export interface components {
          * @enum {string}
          */
         UpAxis: "x" | "-x" | "y" | "-y" | "z" | "-z";
+        /** @description An upload that comes in parts. */
+        Upload: {
+            /** @description When it was begun, RFC 3339 UTC. */
+            created_at: string;
+            /** @description When it is removed unless more of it comes, RFC 3339 UTC; of one that is over, when it is forgotten. `null`: never. */
+            expires_at?: string | null;
+            /** @description UUIDv7; in order of time. */
+            id: string;
+            /** @description The job that parses the scene; `null` where it was only to be stored. */
+            job_id?: string | null;
+            /**
+             * Format: int64
+             * @description Bytes it will have.
+             */
+            length: number;
+            /**
+             * Format: int64
+             * @description Bytes that are on the server's disk: where to go on.
+             */
+            offset: number;
+            problem?: components["schemas"]["Problem"] | null;
+            /** @description The scene it has become. */
+            scene_id?: string | null;
+            /** @description How far it has come. */
+            state: components["schemas"]["UploadState"];
+        };
+        /**
+         * @description How far an upload has come.
+         * @enum {string}
+         */
+        UploadState: "receiving" | "making" | "done" | "refused";
         /** @description What an answer took of a vision-language model; all zero when none was asked. */
         Usage: {
             /**
@@ -7283,6 +7482,10 @@ export interface operations {
     create_scene: {
         parameters: {
             query?: {
+                /** @description Whether a world that is tilted is turned level. */
+                levelling?: "auto" | "off";
+                /** @description Length of one unit of the files' clouds and poses, metres, for files that are not in metres; default: told by their size. */
+                metres_per_unit?: number;
                 /** @description Name of the scene; default: what the archive calls itself. */
                 name?: string;
                 /** @description `false` only stores the scan. */
@@ -8296,6 +8499,164 @@ export interface operations {
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 503,
                      *       "title": "Service Unavailable",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    get_changes: {
+        parameters: {
+            query?: {
+                /** @description With `to`: whether the two clouds are laid over each other, from their places in the same map or in one world. Default: yes. */
+                align?: boolean;
+                /** @description A version of the scene: what changed after it, as frames were added. Default: its first. */
+                since?: number;
+                /** @description Another scene of the same room: what is different there. Not together with `since`. */
+                to?: string;
+            };
+            header?: never;
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description As asked for */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["SceneChanges"];
+                };
+            };
+            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not as things are now */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_ready",
+                     *       "detail": "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 409,
+                     *       "title": "Conflict",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
                      *       "type": "about:blank"
                      *     }
                      */
@@ -9754,6 +10115,241 @@ export interface operations {
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
                      *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    add_frames: {
+        parameters: {
+            query?: {
+                /** @description Whose coordinates the poses are in: those of the files the scene was made of (default), the scene's, or those of the map it lies in. */
+                world?: ("scene" | "source" | "map") & Record<string, never>;
+            };
+            header?: {
+                /** @description The same key again returns what it led to */
+                "Idempotency-Key"?: string | null;
+            };
+            path: {
+                scene_id: string;
+            };
+            cookie?: never;
+        };
+        /** @description As for a new scene: an archive, or a form with one */
+        requestBody: {
+            content: {
+                "application/octet-stream": components["schemas"]["Binary"];
+            };
+        };
+        responses: {
+            /** @description Taken; the work goes on in the background */
+            202: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Created"];
+                };
+            };
+            /** @description The body can not be read */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "malformed_json",
+                     *       "detail": "expected `,` or `}` at line 1 column 17",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 400,
+                     *       "title": "Bad Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scope_missing",
+                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 403,
+                     *       "title": "Forbidden",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not as things are now */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_ready",
+                     *       "detail": "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 409,
+                     *       "title": "Conflict",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body is too large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "body_too_large",
+                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 413,
+                     *       "title": "Payload Too Large",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The disk is full */
+            507: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "storage_full",
+                     *       "detail": "the server's disk is full: delete scenes, or ask its operator",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 507,
+                     *       "title": "Insufficient Storage",
                      *       "type": "about:blank"
                      *     }
                      */
@@ -12541,6 +13137,1537 @@ export interface operations {
                      *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
                      *       "status": 429,
                      *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    create_upload: {
+        parameters: {
+            query?: {
+                /** @description What the file is called; its ending tells what its bytes do not. */
+                filename?: string;
+                /** @description Name of the scene; default: what the archive calls itself. */
+                name?: string;
+                /** @description `false` only stores the scan. */
+                parse?: boolean;
+                /** @description Settings to parse with. */
+                preset?: "default" | "paper";
+                /** @description The axis that points up in the files, for archives that do not say; default: the axis the cameras hold up. */
+                up?: "x" | "-x" | "y" | "-y" | "z" | "-z";
+            };
+            header: {
+                /** @description Uploads under the same key become one scene */
+                "Idempotency-Key"?: string | null;
+                /** @description The version of tus */
+                "Tus-Resumable": "1.0.0";
+                /** @description Of the bytes that come with it: `sha1` or `sha256`, a space, base64 */
+                "Upload-Checksum"?: string | null;
+                /** @description Bytes of the whole */
+                "Upload-Length": number;
+                /** @description `filename`, `name`, `parse`, `up`, `preset`, their texts in base64 */
+                "Upload-Metadata"?: string | null;
+            };
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Made */
+            201: {
+                headers: {
+                    /** @description The upload */
+                    Location?: string;
+                    /** @description When it is removed unless more of it comes */
+                    "Upload-Expires"?: string;
+                    /** @description Bytes that are there */
+                    "Upload-Offset"?: number;
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Upload"];
+                };
+            };
+            /** @description The body can not be read */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "malformed_json",
+                     *       "detail": "expected `,` or `}` at line 1 column 17",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 400,
+                     *       "title": "Bad Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scope_missing",
+                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 403,
+                     *       "title": "Forbidden",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body comes too slowly */
+            408: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "body_too_slow",
+                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 408,
+                     *       "title": "Request Timeout",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Another version of tus */
+            412: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "tus_version_unknown",
+                     *       "detail": "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 412,
+                     *       "title": "Precondition Failed",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body is too large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "body_too_large",
+                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 413,
+                     *       "title": "Payload Too Large",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The checksum is of other bytes */
+            460: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "checksum_mismatch",
+                     *       "detail": "what has come is not what the checksum is of: send this part again",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 460,
+                     *       "title": "Checksum Mismatch",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The disk is full */
+            507: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "storage_full",
+                     *       "detail": "the server's disk is full: delete scenes, or ask its operator",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 507,
+                     *       "title": "Insufficient Storage",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    upload_capabilities: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Versions, extensions and the largest upload, in headers */
+            204: {
+                headers: {
+                    /** @description Checksums that are known here */
+                    "Tus-Checksum-Algorithm"?: string;
+                    /** @description Its extensions that are known here */
+                    "Tus-Extension"?: string;
+                    /** @description Bytes of the largest upload */
+                    "Tus-Max-Size"?: number;
+                    /** @description Versions of tus */
+                    "Tus-Version"?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scope_missing",
+                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 403,
+                     *       "title": "Forbidden",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    get_upload: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path: {
+                upload_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description As asked for */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["Upload"];
+                };
+            };
+            /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
+            304: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scope_missing",
+                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 403,
+                     *       "title": "Forbidden",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description It is over */
+            410: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "upload_expired",
+                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 was not gone on with for too long: begin a new one",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 410,
+                     *       "title": "Gone",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    append_to_upload_by_post: {
+        parameters: {
+            query?: never;
+            header: {
+                /** @description The version of tus */
+                "Tus-Resumable": "1.0.0";
+                /** @description Of this part: `sha1` or `sha256`, a space, base64 */
+                "Upload-Checksum"?: string | null;
+                /** @description Bytes that are there already */
+                "Upload-Offset"?: number | null;
+                /** @description `PATCH` or `DELETE` */
+                "X-HTTP-Method-Override": string;
+            };
+            path: {
+                upload_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/offset+octet-stream": components["schemas"]["Binary"];
+            };
+        };
+        responses: {
+            /** @description As that method answers */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The body can not be read */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "malformed_json",
+                     *       "detail": "expected `,` or `}` at line 1 column 17",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 400,
+                     *       "title": "Bad Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scope_missing",
+                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 403,
+                     *       "title": "Forbidden",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body comes too slowly */
+            408: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "body_too_slow",
+                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 408,
+                     *       "title": "Request Timeout",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not as things are now */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_ready",
+                     *       "detail": "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 409,
+                     *       "title": "Conflict",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description It is over */
+            410: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "upload_expired",
+                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 was not gone on with for too long: begin a new one",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 410,
+                     *       "title": "Gone",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Another version of tus */
+            412: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "tus_version_unknown",
+                     *       "detail": "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 412,
+                     *       "title": "Precondition Failed",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body is too large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "body_too_large",
+                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 413,
+                     *       "title": "Payload Too Large",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Another content type is wanted */
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unsupported_media_type",
+                     *       "detail": "the body must be application/json, not \"text/plain\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 415,
+                     *       "title": "Unsupported Media Type",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Somebody is at work on it */
+            423: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "upload_busy",
+                     *       "detail": "somebody is sending to upload 01a1ff70-0000-7000-8000-000000000001, or it is being made a scene: ask for its offset when that is over",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 423,
+                     *       "title": "Locked",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The checksum is of other bytes */
+            460: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "checksum_mismatch",
+                     *       "detail": "what has come is not what the checksum is of: send this part again",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 460,
+                     *       "title": "Checksum Mismatch",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The disk is full */
+            507: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "storage_full",
+                     *       "detail": "the server's disk is full: delete scenes, or ask its operator",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 507,
+                     *       "title": "Insufficient Storage",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    delete_upload: {
+        parameters: {
+            query?: never;
+            header: {
+                /** @description The version of tus */
+                "Tus-Resumable": "1.0.0";
+            };
+            path: {
+                upload_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Gone */
+            204: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scope_missing",
+                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 403,
+                     *       "title": "Forbidden",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description It is over */
+            410: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "upload_expired",
+                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 was not gone on with for too long: begin a new one",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 410,
+                     *       "title": "Gone",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Another version of tus */
+            412: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "tus_version_unknown",
+                     *       "detail": "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 412,
+                     *       "title": "Precondition Failed",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Somebody is at work on it */
+            423: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "upload_busy",
+                     *       "detail": "somebody is sending to upload 01a1ff70-0000-7000-8000-000000000001, or it is being made a scene: ask for its offset when that is over",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 423,
+                     *       "title": "Locked",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
+    get_upload_offset: {
+        parameters: {
+            query?: never;
+            header: {
+                /** @description The version of tus */
+                "Tus-Resumable": "1.0.0";
+            };
+            path: {
+                upload_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody?: never;
+        responses: {
+            /** @description Where to go on */
+            200: {
+                headers: {
+                    /** @description The job that parses the scene */
+                    "uniground-job-id"?: string;
+                    /** @description The scene it has become */
+                    "uniground-scene-id"?: string;
+                    /** @description When it is removed unless more of it comes */
+                    "Upload-Expires"?: string;
+                    /** @description Bytes of the whole */
+                    "Upload-Length"?: number;
+                    /** @description As it came */
+                    "Upload-Metadata"?: string;
+                    /** @description Bytes that are there */
+                    "Upload-Offset"?: number;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description There is no such upload */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description It was not gone on with for too long */
+            410: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description Another version of tus */
+            412: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+        };
+    };
+    append_to_upload: {
+        parameters: {
+            query?: never;
+            header: {
+                /** @description The version of tus */
+                "Tus-Resumable": "1.0.0";
+                /** @description Of this part: `sha1` or `sha256`, a space, base64 */
+                "Upload-Checksum"?: string | null;
+                /** @description Bytes that are there already */
+                "Upload-Offset": number;
+            };
+            path: {
+                upload_id: string;
+            };
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/offset+octet-stream": components["schemas"]["Binary"];
+            };
+        };
+        responses: {
+            /** @description It is on the disk */
+            204: {
+                headers: {
+                    /** @description The job that parses the scene */
+                    "uniground-job-id"?: string;
+                    /** @description The scene it has become */
+                    "uniground-scene-id"?: string;
+                    /** @description When it is removed unless more of it comes */
+                    "Upload-Expires"?: string;
+                    /** @description Bytes that are there */
+                    "Upload-Offset"?: number;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description The body can not be read */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "malformed_json",
+                     *       "detail": "expected `,` or `}` at line 1 column 17",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 400,
+                     *       "title": "Bad Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scope_missing",
+                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 403,
+                     *       "title": "Forbidden",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body comes too slowly */
+            408: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "body_too_slow",
+                     *       "detail": "a JSON body is sent within 20 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 408,
+                     *       "title": "Request Timeout",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not as things are now */
+            409: {
+                headers: {
+                    /** @description Where to go on */
+                    "Upload-Offset"?: number;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_ready",
+                     *       "detail": "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 409,
+                     *       "title": "Conflict",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description It is over */
+            410: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "upload_expired",
+                     *       "detail": "upload 01a1ff70-0000-7000-8000-000000000001 was not gone on with for too long: begin a new one",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 410,
+                     *       "title": "Gone",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Another version of tus */
+            412: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "tus_version_unknown",
+                     *       "detail": "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 412,
+                     *       "title": "Precondition Failed",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body is too large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "body_too_large",
+                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 413,
+                     *       "title": "Payload Too Large",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Another content type is wanted */
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unsupported_media_type",
+                     *       "detail": "the body must be application/json, not \"text/plain\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 415,
+                     *       "title": "Unsupported Media Type",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Somebody is at work on it */
+            423: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "upload_busy",
+                     *       "detail": "somebody is sending to upload 01a1ff70-0000-7000-8000-000000000001, or it is being made a scene: ask for its offset when that is over",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 423,
+                     *       "title": "Locked",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The checksum is of other bytes */
+            460: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "checksum_mismatch",
+                     *       "detail": "what has come is not what the checksum is of: send this part again",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 460,
+                     *       "title": "Checksum Mismatch",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The disk is full */
+            507: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "storage_full",
+                     *       "detail": "the server's disk is full: delete scenes, or ask its operator",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 507,
+                     *       "title": "Insufficient Storage",
                      *       "type": "about:blank"
                      *     }
                      */

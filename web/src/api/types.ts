@@ -34,3 +34,4 @@ export type Scene = Schemas["Scene"];
 export type SceneList = Schemas["SceneList"];
 export type SceneReport = Schemas["SceneReport"];
 export type Support = Schemas["Support"];
+export type Upload = Schemas["Upload"];

@@ -95,20 +95,9 @@ class AsyncClient:
         the asynchronous client calls it from a thread. With an `idempotency_key` of yours the scene that it made before comes back,
         however often the program is run.
         """
-        archive = await asyncio.to_thread(packed, scan)
-        with archive.file:
-            params = {"name": name, "up": up, "preset": preset, "parse": parse}
-            # Not on the event loop: asyncio loses a refusal that comes while the scan is still being sent.  # async only
-            reply = await asyncio.to_thread(
-                self._waiting._send,
-                "POST",
-                "/v1/scenes",
-                params=params,
-                headers={"content-type": archive.media_type, "content-length": str(archive.size)},
-                content=lambda: chunks(archive.file, archive.size, on_progress),
-                idempotency_key=idempotency_key or str(uuid.uuid4()),
-            )
-        return AsyncScene(self, decode(models.Created, reply.json()).scene)
+        params = {"name": name, "up": up, "preset": preset, "parse": parse}
+        created = await self._upload("/v1/scenes", scan, params, idempotency_key, on_progress)
+        return AsyncScene(self, created.scene)
 
     async def scene(self, scene_id: str) -> AsyncScene:
         """A scene by its id."""
@@ -219,6 +208,23 @@ class AsyncClient:
     async def download(self, path: str, params: Optional[Mapping[str, Any]] = None) -> bytes:
         """A file of the server, such as a picture: `path` as an answer gives it."""
         return (await self._send("GET", path, params=params)).content
+
+    async def _upload(
+        self, path: str, scan: Source, params: Mapping[str, Any], key: Optional[str], on_progress: Optional[Progress]
+    ) -> models.Created:
+        archive = await asyncio.to_thread(packed, scan)
+        with archive.file:
+            # Not on the event loop: asyncio loses a refusal that comes while the scan is still being sent.  # async only
+            reply = await asyncio.to_thread(
+                self._waiting._send,
+                "POST",
+                path,
+                params=params,
+                headers={"content-type": archive.media_type, "content-length": str(archive.size)},
+                content=lambda: chunks(archive.file, archive.size, on_progress),
+                idempotency_key=key or str(uuid.uuid4()),
+            )
+        return decode(models.Created, reply.json())
 
     async def _send(
         self,
@@ -408,6 +414,24 @@ class AsyncScene:
         """Parses the scan anew: `preset`, and single `settings` that replace its own. Until `wait` is over the old parse is asked."""
         await self._post("parse", request)
         return await self.refresh()
+
+    async def add_frames(
+        self,
+        scan: Source,
+        *,
+        world: models.FrameChoice = "source",
+        idempotency_key: Optional[str] = None,
+        on_progress: Optional[Progress] = None,
+    ) -> AsyncScene:
+        """Adds the frames of a scan, told in the coordinates of `world`; `wait` waits until they are known. What stays keeps its id."""
+        path = f"/v1/scenes/{self.id}/frames"
+        self.info = (await self._client._upload(path, scan, {"world": world}, idempotency_key, on_progress)).scene
+        return self
+
+    async def changes(self, *, since: Optional[int] = None, to: Optional[str] = None, align: Optional[bool] = None) -> models.SceneChanges:
+        """What changed since a version of the scene (default: its first), or in another scan of the room, the scene `to`."""
+        params = given({"since": since, "to": to, "align": align})
+        return decode(models.SceneChanges, await self._client.call("GET", f"/v1/scenes/{self.id}/changes", params=params))
 
     async def rename(self, name: str) -> AsyncScene:
         return await self._change({"name": name})

@@ -92,18 +92,9 @@ class Client:
         the asynchronous client calls it from a thread. With an `idempotency_key` of yours the scene that it made before comes back,
         however often the program is run.
         """
-        archive = packed(scan)
-        with archive.file:
-            params = {"name": name, "up": up, "preset": preset, "parse": parse}
-            reply = self._send(
-                "POST",
-                "/v1/scenes",
-                params=params,
-                headers={"content-type": archive.media_type, "content-length": str(archive.size)},
-                content=lambda: chunks(archive.file, archive.size, on_progress),
-                idempotency_key=idempotency_key or str(uuid.uuid4()),
-            )
-        return Scene(self, decode(models.Created, reply.json()).scene)
+        params = {"name": name, "up": up, "preset": preset, "parse": parse}
+        created = self._upload("/v1/scenes", scan, params, idempotency_key, on_progress)
+        return Scene(self, created.scene)
 
     def scene(self, scene_id: str) -> Scene:
         """A scene by its id."""
@@ -214,6 +205,21 @@ class Client:
     def download(self, path: str, params: Optional[Mapping[str, Any]] = None) -> bytes:
         """A file of the server, such as a picture: `path` as an answer gives it."""
         return (self._send("GET", path, params=params)).content
+
+    def _upload(
+        self, path: str, scan: Source, params: Mapping[str, Any], key: Optional[str], on_progress: Optional[Progress]
+    ) -> models.Created:
+        archive = packed(scan)
+        with archive.file:
+            reply = self._send(
+                "POST",
+                path,
+                params=params,
+                headers={"content-type": archive.media_type, "content-length": str(archive.size)},
+                content=lambda: chunks(archive.file, archive.size, on_progress),
+                idempotency_key=key or str(uuid.uuid4()),
+            )
+        return decode(models.Created, reply.json())
 
     def _send(
         self,
@@ -403,6 +409,24 @@ class Scene:
         """Parses the scan anew: `preset`, and single `settings` that replace its own. Until `wait` is over the old parse is asked."""
         self._post("parse", request)
         return self.refresh()
+
+    def add_frames(
+        self,
+        scan: Source,
+        *,
+        world: models.FrameChoice = "source",
+        idempotency_key: Optional[str] = None,
+        on_progress: Optional[Progress] = None,
+    ) -> Scene:
+        """Adds the frames of a scan, told in the coordinates of `world`; `wait` waits until they are known. What stays keeps its id."""
+        path = f"/v1/scenes/{self.id}/frames"
+        self.info = (self._client._upload(path, scan, {"world": world}, idempotency_key, on_progress)).scene
+        return self
+
+    def changes(self, *, since: Optional[int] = None, to: Optional[str] = None, align: Optional[bool] = None) -> models.SceneChanges:
+        """What changed since a version of the scene (default: its first), or in another scan of the room, the scene `to`."""
+        params = given({"since": since, "to": to, "align": align})
+        return decode(models.SceneChanges, self._client.call("GET", f"/v1/scenes/{self.id}/changes", params=params))
 
     def rename(self, name: str) -> Scene:
         return self._change({"name": name})

@@ -82,6 +82,8 @@ Structure = Literal["floor", "ceiling", "wall"]
 """Part of the building rather than an object in it."""
 UpAxis = Literal["x", "-x", "y", "-y", "z", "-z"]
 """The world axis that points up in the file; after import it is always `z`."""
+UploadState = Literal["receiving", "making", "done", "refused"]
+"""How far an upload has come."""
 
 @dataclass
 class Aabb(BoxMethods):
@@ -480,6 +482,39 @@ class Change(ChangeOptions):
 
 
 @dataclass
+class ChangedThing:
+    """A thing that changed."""
+    id: InstanceId
+    """In the look it is in: the earlier one for what is gone, the later one for what appeared."""
+    label: str
+    """What it is called."""
+    box: Aabb
+    """Its box, metres, in the coordinates of that look."""
+
+
+@dataclass
+class Changes:
+    """Things that are not as they were. Floor, walls and ceilings are left out."""
+    appeared: list[ChangedThing]
+    """Things that stand where nothing was before."""
+    gone: list[ChangedThing]
+    """Things whose place is empty now."""
+    moved: list[MovedThing]
+    """Things that are gone in one place and, alike in size, colour and name, appeared in another."""
+    first_seen: list[ChangedThing]
+    """Things nobody had seen before, though they may have been there: no frame had looked at their places, or too few for it to be known.
+    """
+    not_seen: list[ChangedThing]
+    """Things in places that the later scan did not look at: nobody knows whether they are still there."""
+    regrouped: list[ChangedThing]
+    """Things of before that are no things of their own any more, though their surfaces are still there: the same points are grouped
+    otherwise.
+    """
+    unchanged: int
+    """How many things stayed."""
+
+
+@dataclass
 class CoordinateFrame:
     """The frame all coordinates are in."""
     up: str
@@ -570,8 +605,8 @@ class DiskUse:
     free_bytes: int
     """What may still be written."""
     blob_bytes: Optional[dict[str, int]] = None
-    """Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were shown), `tmp`, `quarantine`. Measured in the
-    background, a minute apart at least; `null` until that was done once.
+    """Files by kind: `contents` (scans), `parses`, `checkpoints`, `answers` (what models were shown), `uploads` (in parts), `tmp`,
+    `quarantine`. Measured in the background, a minute apart at least; `null` until that was done once.
     """
 
 
@@ -812,6 +847,10 @@ class ImportReport:
 
 class ImportOptions(TypedDict, total=False):
     """What `ImportRequest` may have besides."""
+    levelling: LevellingChoice
+    """Whether a world that is tilted is turned level."""
+    metres_per_unit: Optional[float]
+    """Length of one unit of the files' clouds and poses, metres, for files that are not in metres; default: told by their size."""
     name: Optional[str]
     """Name of the scene; default: what the archive calls itself."""
     parse: bool
@@ -889,7 +928,9 @@ class InstanceSettings(TypedDict, total=False):
 class InstanceView:
     """One object candidate. Lengths in metres, world frame (Z up)."""
     id: InstanceId
-    """Numbered from 1 within the parse: things in falling order of points, then parts and wholes; another parse numbers anew."""
+    """Numbered from 1 within the parse: things in falling order of points, then parts and wholes; another parse numbers anew, but for
+    scenes that have grown: what stays keeps its id there, and what comes is numbered on.
+    """
     label: str
     """What the encoder would call it, without having heard a question."""
     box: Aabb
@@ -922,6 +963,8 @@ class InstanceView:
     """
     given_name: Optional[str] = None
     """What somebody has said it is called; `null` where nobody has."""
+    gone: Optional[bool] = None
+    """Of a scene that has grown: it was there in an earlier version. Its id is never another's; dismissed as well."""
     level: Optional[Level] = None
     """A thing, a part of one, or a whole of several."""
     merged_from: list[InstanceId] = field(default_factory=list)
@@ -1167,6 +1210,17 @@ class Models:
     """
     parser: Optional[str] = None
     """Empty in answers given before this was recorded."""
+
+
+@dataclass
+class MovedThing:
+    """A thing that is elsewhere."""
+    before: ChangedThing
+    """As it was, in the coordinates of the earlier look."""
+    after: ChangedThing
+    """As it is, in those of the later one."""
+    distance_m: float
+    """Between the middles of the two boxes, metres."""
 
 
 @dataclass
@@ -1474,6 +1528,8 @@ class Retention:
     """What was done, and with whose key."""
     superseded_days: int
     """Parses, from when no scene and no answer refers to them."""
+    uploads_days: int
+    """Uploads that come in parts, from the last part."""
     checkpoints_days: int
     """Finished stages of parses, from their last use."""
     checkpoints_bytes: int
@@ -1551,6 +1607,21 @@ class SamSettings(TypedDict, total=False):
 
 
 @dataclass
+class ScanAlignment:
+    """From the coordinates of the earlier scan to those of the later one: `to = rotation * from + translation_m`."""
+    rotation: list[float]
+    """Unit quaternion `x, y, z, w`."""
+    translation_m: list[float]
+    """Metres."""
+    refined: bool
+    """Whether it was refined by laying the two clouds over each other."""
+    overlap: float
+    """Share of the earlier scan's points that have one of the later scan's within 5 cm."""
+    rms_m: float
+    """Their root mean square distance to its surfaces, metres."""
+
+
+@dataclass
 class Scene:
     """A scene: one uploaded scan and its current parse."""
     id: str
@@ -1560,7 +1631,7 @@ class Scene:
     status: SceneStatus
     """Whether questions can be asked."""
     content_hash: str
-    """SHA-256 of the uploaded bytes, hex."""
+    """SHA-256 of the uploaded bytes, hex; of a scene that has grown, of what it is made of."""
     parse_version: int
     """Number of the current parse, from 1; 0 before the first. Questions use the current one until a newer is ready."""
     created_at: str
@@ -1589,6 +1660,18 @@ class SceneChange(TypedDict, total=False):
     """One line of 1 to 200 characters, not blank, without control characters."""
     scene_to_map: Optional[SceneToMap]
     """Where the scene lies in a map: questions may then ask for boxes in it. `null` takes it away."""
+
+
+@dataclass
+class SceneChanges:
+    """What changed in a scene: since an earlier version of it, or from one scan of a room to another."""
+    from_: SceneVersion
+    """The earlier look."""
+    to: SceneVersion
+    """The later one."""
+    changes: Changes
+    """What is different."""
+    alignment: Optional[ScanAlignment] = None
 
 
 @dataclass
@@ -1660,6 +1743,15 @@ class SceneToMap(TypedDict):
     """Unit quaternion `x, y, z, w`, as ROS has it."""
     translation_m: Sequence[float]
     """Metres, in the map's axes."""
+
+
+@dataclass
+class SceneVersion:
+    """A scene as it was parsed at some time."""
+    scene_id: str
+    """UUIDv7 of the scene."""
+    version: int
+    """Number of its parse, from 1."""
 
 
 @dataclass
@@ -1940,6 +2032,28 @@ class TurnedBox:
     size: list[float]
     yaw_deg: float
     """Counter-clockwise from above, degrees."""
+
+
+@dataclass
+class Upload:
+    """An upload that comes in parts."""
+    id: str
+    """UUIDv7; in order of time."""
+    state: UploadState
+    """How far it has come."""
+    offset: int
+    """Bytes that are on the server's disk: where to go on."""
+    length: int
+    """Bytes it will have."""
+    created_at: str
+    """When it was begun, RFC 3339 UTC."""
+    expires_at: Optional[str] = None
+    """When it is removed unless more of it comes, RFC 3339 UTC; of one that is over, when it is forgotten. `null`: never."""
+    job_id: Optional[str] = None
+    """The job that parses the scene; `null` where it was only to be stored."""
+    problem: Optional[Problem] = None
+    scene_id: Optional[str] = None
+    """The scene it has become."""
 
 
 @dataclass

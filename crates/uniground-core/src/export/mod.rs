@@ -1,13 +1,12 @@
 //! A scene and what was found in it, as files that other programs open.
 //!
-//! [`Export`] chooses the points and says whose each one is, after what people have corrected (`owners`); the other files write one format
+//! [`Export`] chooses the points and says whose each one is, after what people have corrected ([`Owners`]); the other files write one format
 //! each: [`write_glb`] (glTF 2.0, binary), [`write_usdz`], [`write_ply`]. The same scene makes the same bytes.
 //!
 //! Coordinates are the scene's own, metres with Z up, where a format can say so. glTF has Y up: there a node at the root turns, and what is
 //! below it, boxes included, stays as it is.
 
 mod glb;
-mod owners;
 mod ply;
 mod usdz;
 
@@ -17,9 +16,8 @@ pub use usdz::write_usdz;
 
 use crate::geometry::Vector3;
 use crate::geometry::boxes::{Aabb, OrientedBox};
-use crate::scene::{Instance, InstanceId, Level, PointCloud, Structure, Support, evenly};
+use crate::scene::{Instance, InstanceId, Level, Owners, PointCloud, Structure, Support, evenly};
 use nalgebra::{Rotation3, Translation3};
-use owners::Owners;
 use serde::Serialize;
 use std::collections::BTreeMap;
 
@@ -53,7 +51,7 @@ impl<'a> Export<'a> {
             owners.of_point(found, &cloud.positions[point as usize])
         };
         let points = chosen.into_iter().map(|point| (point, owner(point))).collect();
-        Self { title, cloud, points, things: instances.iter().filter(|instance| is_shown(instance)).collect() }
+        Self { title, cloud, points, things: instances.iter().filter(|instance| instance.is_shown()).collect() }
     }
 
     /// The points of each thing, in order of id, and at last those that belong to nothing.
@@ -63,11 +61,6 @@ impl<'a> Export<'a> {
         let things = self.things.iter().map(|thing| (*thing, by_owner.remove(&thing.id).unwrap_or_default())).collect();
         (things, by_owner.remove(&InstanceId::default()).unwrap_or_default())
     }
-}
-
-/// Whether an instance is one of the things the scene is cut into now.
-fn is_shown(instance: &Instance) -> bool {
-    instance.level == Level::Thing && !instance.dismissed
 }
 
 /// What is told of a thing beside its points. Metres, frame of the scene (Z up).

@@ -55,6 +55,10 @@ pub enum IngestError {
         "cloud, poses and depth do not agree: only {agreement:.0}% of the sampled points fit the depth pictures, and no other reading of poses and depth fits (the best, {hypothesis}: {other_agreement:.0}%)"
     )]
     NothingFits { agreement: f32, hypothesis: String, other_agreement: f32 },
+    #[error(
+        "these frames do not lie in this scene: {agreement:.0}% of its points in view fit their depth. Their poses must be told in the scene's world: that of the files it was made of, or say which with world="
+    )]
+    DoesNotBelong { agreement: f32 },
     #[error("{file}: {source}")]
     Io {
         file: Utf8PathBuf,

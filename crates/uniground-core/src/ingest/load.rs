@@ -39,7 +39,7 @@ pub fn load(scan: &Scan, settings: &ImportSettings, progress: &Progress) -> Resu
         cloud
     };
     warn_of_odd_size(&cloud.positions, &mut report.warnings);
-    Ok(SceneBundle { cloud, frames, report })
+    Ok(SceneBundle { cloud, frames, report, additions: Vec::new() })
 }
 
 /// Everything but the fusion of a cloud: reads the scan's own, chooses the reading of poses and depth that fits a sample of frames, and turns
@@ -167,7 +167,7 @@ fn rescale(cloud: &mut PointCloud, by: f64) {
     }
 }
 
-fn frame_refs(scan: &Scan, reading: &Reading) -> Result<Vec<FrameRef>, IngestError> {
+pub(super) fn frame_refs(scan: &Scan, reading: &Reading) -> Result<Vec<FrameRef>, IngestError> {
     let units = Units { origin: scan.origin, metres_per_unit: reading.metres_per_unit };
     scan.frames.iter().map(|frame| frame_ref(scan, frame, reading, &units)).collect()
 }

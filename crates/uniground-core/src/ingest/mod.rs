@@ -10,9 +10,12 @@ mod clouds;
 mod error;
 mod formats;
 mod fusion;
+mod growth;
 mod lengths;
 mod levelling;
 mod load;
+mod neighbours;
+mod parts;
 mod reprojection;
 mod scan;
 mod sens;
@@ -20,7 +23,10 @@ mod unpacked;
 mod validate;
 
 pub use error::IngestError;
+pub use growth::{Fits, add, fits};
 pub use load::{Inspected, inspect, load, read_cloud};
+pub use neighbours::{Neighbours, neighbours};
+pub use parts::{GROWN, Grown, Part, part_folder};
 pub use scan::Scan;
 pub use unpacked::{Packed, Unpacked, what_it_is};
 

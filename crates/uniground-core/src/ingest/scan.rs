@@ -3,7 +3,7 @@
 use super::IngestError;
 use crate::geometry::up_axis::UpAxis;
 use crate::geometry::{Isometry3, pose};
-use crate::scene::{FrameIndex, Intrinsics, Optics, PoseConvention, is_compressed_floats};
+use crate::scene::{FrameIndex, Intrinsics, Optics, PoseConvention, float_picture_size, is_compressed_floats, is_float_picture};
 use camino::{Utf8Path, Utf8PathBuf};
 use image::ImageReader;
 use nalgebra::Matrix4;
@@ -180,14 +180,27 @@ pub(super) fn picture_size(root: &Utf8Path, file: &Utf8Path) -> Result<Option<(u
     if is_compressed_floats(&path).map_err(io)? {
         return Ok(None);
     }
-    let reader = ImageReader::open(&path).map_err(io)?.with_guessed_format().map_err(io)?;
-    let (width, height) = reader
-        .into_dimensions()
-        .map_err(|e| IngestError::malformed(file, format!("not a readable picture: {e}")))?;
+    let not_readable = |reason: &dyn std::fmt::Display| IngestError::malformed(file, format!("not a readable picture: {reason}"));
+    let size = match float_picture_size(&path) {
+        Ok(Some(size)) => size,
+        Ok(None) => {
+            let reader = ImageReader::open(&path).map_err(io)?.with_guessed_format().map_err(io)?;
+            reader.into_dimensions().map_err(|e| not_readable(&e))?
+        }
+        Err(e) => return Err(not_readable(&e)),
+    };
+    let (width, height) = size;
     if u64::from(width) * u64::from(height) > MAX_PIXELS {
         return Err(IngestError::malformed(file, format!("{width}x{height} is more than {} megapixels", MAX_PIXELS / 1_000_000)));
     }
     Ok(Some((width, height)))
+}
+
+/// Metres per unit of depth pictures that nobody gave a unit: floats are metres, integers millimetres.
+pub(super) fn usual_depth_scale_m<'a>(root: &Utf8Path, depth: impl IntoIterator<Item = &'a Utf8PathBuf>) -> f32 {
+    // What can not be read is told by who reads on.
+    let is_float = depth.into_iter().next().is_some_and(|first| is_float_picture(&root.join(first)).unwrap_or(false));
+    if is_float { 1.0 } else { 0.001 }
 }
 
 /// Several pictures are decoded at once: each may take some hundred megabytes, not more.

@@ -52,6 +52,19 @@ impl Embeddings {
         self
     }
 
+    /// One row for each of these: the one at an index, or that of an instance nobody has seen.
+    #[must_use]
+    pub fn rearranged(&self, rows: impl Iterator<Item = Option<usize>>) -> Self {
+        let (mut rearranged, unseen) = (Self { dim: self.dim, rows: Vec::new(), norms: Vec::new() }, vec![f16::ZERO; self.dim]);
+        for row in rows {
+            rearranged
+                .rows
+                .extend_from_slice(row.map_or(&unseen[..], |at| &self.rows[at * self.dim..(at + 1) * self.dim]));
+            rearranged.norms.push(row.map_or_else(Norms::default, |at| self.norms[at]));
+        }
+        rearranged
+    }
+
     /// With the mean of other rows in one of them: what several instances look like together, at the index of what they are.
     #[must_use]
     pub fn with_mean(mut self, of: impl IntoIterator<Item = usize>, at: usize) -> Self {

@@ -15,7 +15,7 @@ pub struct FrameRef {
     pub index: FrameIndex,
     /// Path of the colour picture.
     pub colour: Utf8PathBuf,
-    /// Path of the depth picture: 16-bit grey, or compressed floats.
+    /// Path of the depth picture: 16-bit grey, or floats.
     pub depth: Utf8PathBuf,
     /// At the resolution of the colour picture.
     pub colour_intrinsics: Intrinsics,
@@ -47,7 +47,9 @@ pub enum FrameError {
         #[source]
         source: image::ImageError,
     },
-    #[error("frame {frame}: {file} is no depth picture: it must be 16-bit grey, this is {found}")]
+    #[error(
+        "frame {frame}: {file} is no depth picture: it must be 16-bit grey, floats (EXR, TIFF), or 8-bit grey with a `depth_scale_m` of 0.004 or more; this is {found}"
+    )]
     NotDepth { frame: FrameIndex, file: Utf8PathBuf, found: String },
     #[error("frame {frame}: {file} is {found_width}x{found_height}, its intrinsics say {width}x{height}")]
     WrongSize { frame: FrameIndex, file: Utf8PathBuf, found_width: u32, found_height: u32, width: u32, height: u32 },

@@ -52,6 +52,9 @@ pub struct Instance {
     /// Somebody has said that it is no thing, or not one: it fits nothing.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub dismissed: bool,
+    /// Of a scene that has grown: it was there once. Kept, dismissed, so that its id is never another's.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub gone: bool,
 }
 
 impl Instance {
@@ -59,6 +62,12 @@ impl Instance {
     #[must_use]
     pub fn came_later(&self) -> bool {
         self.found_for.is_some() || !self.merged_from.is_empty()
+    }
+
+    /// Whether it is a thing that nobody has dismissed.
+    #[must_use]
+    pub fn is_shown(&self) -> bool {
+        self.level == Level::Thing && !self.dismissed
     }
 
     /// What to call it when talking to people: its given name, its structure, its best name, or just "object".

@@ -12,14 +12,17 @@ mod depth_file;
 mod embeddings;
 mod even_points;
 mod export;
+mod float_pictures;
 mod frame;
 mod frame_embeddings;
+mod free_space;
 mod instance;
 mod npy;
 mod optics;
+mod owners;
 mod parsed;
 
-pub use bundle::SceneBundle;
+pub use bundle::{Addition, SceneBundle};
 pub use camera::{Camera, Intrinsics, Pixel};
 pub use cell_mask::CellMask;
 pub use cloud::PointCloud;
@@ -29,10 +32,13 @@ pub use embeddings::{Embeddings, Norms};
 pub use even_points::{evenly, write_even_points};
 pub(crate) use export::write as write_ply;
 pub use export::{id_colour, read_instance_of_point, write_cloud_ply, write_instances_ply};
+pub use float_pictures::{float_picture_size, is_float_picture};
 pub use frame::{DepthImage, Frame, FrameError, FrameRef, stream_frames};
 pub use frame_embeddings::FrameEmbeddings;
+pub use free_space::{Looks, look_at};
 pub use instance::Instance;
 pub use optics::{Confidence, DepthSensor, Lens, Optics};
+pub use owners::Owners;
 pub use parsed::ParsedScene;
 pub use uniground_types::scene::{
     FrameIndex, ImportReport, InstanceId, Level, Levelling, NameGuess, ParseReport, PoseConvention, SourceToScene, StageReport, Structure,

@@ -44,6 +44,13 @@ impl Checkpoints {
         self.location.as_ref().map(|location| location.folder.as_path())
     }
 
+    /// The same place for what depends on more than the scan it began with.
+    #[must_use]
+    pub fn depending_on(&self, more: &str) -> Self {
+        let location = self.location.as_ref();
+        Self { location: location.map(|at| Location { folder: at.folder.clone(), origin: format!("{}{more}", at.origin) }) }
+    }
+
     /// The log of a stage that depends on these settings. Logs of the stage under other settings are removed.
     pub fn log<T: Serialize + DeserializeOwned>(&self, stage: &str, depends_on: &impl Serialize) -> Log<T> {
         let Some(Location { folder, origin }) = &self.location else { return Log::nowhere() };

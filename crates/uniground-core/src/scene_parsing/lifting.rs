@@ -72,6 +72,17 @@ impl Lifted {
             lifted.into_iter().map(|lifted| (lifted.tables, (lifted.frame, lifted.masks))).unzip();
         (tables.concat(), masks, sharpness)
     }
+
+    /// The same with new numbers of superpoints, by old one; `None`: gone. Those that stay keep their order.
+    pub fn renumber(&mut self, number: &[Option<u32>]) {
+        for table in &mut self.tables {
+            table.rows.retain_mut(|row| {
+                let now = number[row.superpoint as usize];
+                row.superpoint = now.unwrap_or(0);
+                now.is_some()
+            });
+        }
+    }
 }
 
 impl Lifting<'_> {

@@ -22,6 +22,7 @@ pub mod masks;
 pub mod merging;
 pub mod outline;
 pub mod part_merging;
+mod perceived;
 pub mod planes;
 pub mod pointed;
 pub mod refinement;
@@ -43,10 +44,10 @@ use correction::Corrector;
 use hierarchy::Proposal;
 use instances::Built;
 use labels::Labels;
-use lifting::{Lifted, Lifting, MasksOfFrames};
+use lifting::{FrameVisibility, Lifted, MasksOfFrames};
 use masks::MaskSource;
+use perceived::Perceived;
 use planes::Planes;
-use sharpness::SharpnessOfFrames;
 pub use stopwatch::{StageOutcome, Stopwatch};
 use superpoints::Superpoints;
 pub use uniground_types::settings::ParsingSettings;
@@ -91,13 +92,18 @@ impl<'a> Perception<'a> {
         self.corrector.is_some() || self.encoder.is_some()
     }
 
-    /// Where stages end, as shares of the whole: superpoints, planes, masks, merging, part merging, refinement, views, instances; appearance
+    fn superpoints_end(&self) -> f32 {
+        let [superpoints, masks, ..] = self.ends();
+        superpoints / masks
+    }
+
+    /// Where stages end, as shares of the whole: superpoints, masks, planes, merging, part merging, refinement, views, instances; appearance
     /// comes last and ends at 1. Where networks take part they take nearly all of the time. The time left is estimated from these.
     fn ends(&self) -> [f32; 8] {
         match (self.corrector.is_some(), self.encoder.is_some()) {
-            (false, false) => [0.3, 0.35, 0.72, 0.79, 0.81, 0.88, 0.98, 1.0],
-            (false, true) => [0.06, 0.07, 0.15, 0.165, 0.17, 0.18, 0.195, 0.2],
-            (true, _) => [0.01, 0.011, 0.7, 0.705, 0.708, 0.713, 0.718, 0.72],
+            (false, false) => [0.3, 0.67, 0.72, 0.79, 0.81, 0.88, 0.98, 1.0],
+            (false, true) => [0.06, 0.14, 0.15, 0.165, 0.17, 0.18, 0.195, 0.2],
+            (true, _) => [0.01, 0.699, 0.7, 0.705, 0.708, 0.713, 0.718, 0.72],
         }
     }
 }
@@ -116,14 +122,22 @@ pub fn parse(
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<ParsedScene, ParseError> {
-    let SceneBundle { cloud, frames, report: _ } = bundle;
-    let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
-    let frames = frame_sampling::sample(&frames, &settings.frame_sampling);
+    if bundle.cloud.is_empty() {
+        return Err(ParseError::NoPoints);
+    }
     let mut watch = Stopwatch::default();
     let ends = perception.ends();
 
-    let Grouped { superpoints, planes, visibility, masks_of, sharpness_of, region_of, proposals, blind } =
-        group(&cloud, &frames, perception, settings, checkpoints, progress, &mut watch)?;
+    let perceiving = progress.part(0.0, ends[1]);
+    let Perceived { cloud, frames, superpoints, lifted, checkpoints } =
+        perceived::perceive(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
+    let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
+    let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
+    let (tables, masks_of, sharpness_of) = Lifted::apart(lifted);
+    let blind: Vec<String> = tables.iter().filter(|t| t.layer == 0 && t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
+    let seen =
+        Seen { cloud: &cloud, frames: &frames, superpoints: &superpoints, visibility: &visibility, tables: &tables, masks_of: &masks_of };
+    let Grouped { planes, region_of, proposals } = group(seen, perception, settings, &checkpoints, progress, &mut watch)?;
     let labels = Labels::of_regions(&region_of, &superpoints, proposals);
     let sightings = watch.time("views", |outcome| {
         let viewing = progress.part(ends[5], ends[6]);
@@ -192,71 +206,59 @@ pub fn parse(
     Ok(ParsedScene { cloud, instance_of_point, superpoint_of_point, instances, embeddings, frame_embeddings, extent, report })
 }
 
-/// The points of a scan in regions, each a candidate for an instance, and what was found out on the way.
+/// A scan in superpoints, and what its frames show of them.
+#[derive(Clone, Copy)]
+struct Seen<'a> {
+    cloud: &'a PointCloud,
+    frames: &'a [FrameRef],
+    superpoints: &'a Superpoints,
+    visibility: &'a Visibility,
+    tables: &'a [FrameVisibility],
+    masks_of: &'a MasksOfFrames,
+}
+
+/// The points of a scan in regions, each a candidate for an instance.
 struct Grouped {
-    superpoints: Superpoints,
     planes: Planes,
-    visibility: Visibility,
-    masks_of: MasksOfFrames,
-    sharpness_of: SharpnessOfFrames,
     /// One region per point of the cloud.
     region_of: Vec<u32>,
     /// Parts of regions, and wholes of several.
     proposals: Vec<Proposal>,
-    /// Frames that see no point of the cloud.
-    blind: Vec<String>,
 }
 
-/// Superpoints, planes, masks lifted to them, and the merging that turns these into regions.
+/// Planes, and the merging that turns superpoints into regions.
 fn group(
-    cloud: &PointCloud,
-    frames: &[FrameRef],
+    seen: Seen,
     perception: &Perception,
     settings: &ParsingSettings,
     checkpoints: &Checkpoints,
     progress: &Progress,
     watch: &mut Stopwatch,
 ) -> Result<Grouped, ParseError> {
+    let Seen { cloud, frames, superpoints, visibility, tables, masks_of } = seen;
     let ends = perception.ends();
-    let superpoints = watch.time("superpoints", |outcome| {
-        let compute = || superpoints::compute(cloud, &settings.superpoints, &progress.part(0.0, ends[0]));
-        let (superpoints, reused) = checkpoints.once("superpoints", &settings.superpoints, compute)?;
-        *outcome = StageOutcome { produced: superpoints.patches.len(), reused };
-        Ok::<_, ParseError>(superpoints)
-    })?;
     let planes = watch.time("planes", |outcome| {
         let cameras: Vec<_> = frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
-        let planes = planes::find(cloud, &superpoints, &cameras, &progress.part(ends[0], ends[1]))?;
+        let planes = planes::find(cloud, superpoints, &cameras, &progress.part(ends[1], ends[2]))?;
         outcome.produced = planes.planes.len();
         Ok::<_, ParseError>(planes)
     })?;
-    let masks = perception.masks;
-    let mask_settings = (masks.name(), &settings.rgbd_masks, &settings.sam_masks);
-    let lifted_with = (&settings.superpoints, &settings.frame_sampling, mask_settings, settings.depth_tolerance);
-    let (visibility, lifted) = watch.time("masks_and_lifting", |outcome| {
-        let visibility = Visibility::new(cloud, &superpoints.of_point, settings.depth_tolerance);
-        let lifting = Lifting { visibility: &visibility, superpoint_of_point: &superpoints.of_point, masks };
-        let (lifted, reused) = lifting.all(frames, checkpoints.log("lifting", &lifted_with), &progress.part(ends[1], ends[2]))?;
-        *outcome = StageOutcome { produced: lifted.iter().flat_map(|l| &l.tables).map(|table| table.masks as usize).sum(), reused };
-        Ok::<_, ParseError>((visibility, lifted))
-    })?;
-    let (tables, masks_of, sharpness_of) = Lifted::apart(lifted);
-    let blind: Vec<String> = tables.iter().filter(|t| t.layer == 0 && t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
+    let lifted_with = perceived::lifted_with(perception.masks, settings);
     let regions = watch.time("merging", |outcome| {
-        let compute = || merging::merge(&superpoints, &planes, &tables, &settings.merging, &progress.part(ends[2], ends[3]));
+        let compute = || merging::merge(superpoints, &planes, tables, &settings.merging, &progress.part(ends[2], ends[3]));
         let (regions, reused) = checkpoints.once("merging", &(lifted_with, &settings.merging), compute)?;
         *outcome = StageOutcome { produced: count(regions.last()), reused };
         Ok::<_, ParseError>(regions)
     })?;
     let region_of = watch.time("part_merging", |outcome| {
         let joined =
-            part_merging::join(cloud, &superpoints, regions.last().to_vec(), &settings.part_merging, &progress.part(ends[3], ends[4]))?;
+            part_merging::join(cloud, superpoints, regions.last().to_vec(), &settings.part_merging, &progress.part(ends[3], ends[4]))?;
         outcome.produced = count(&joined);
         Ok::<_, ParseError>(joined)
     })?;
     let proposals = watch.time("hierarchy", |outcome| {
         let proposing = progress.part(ends[4], ends[4]);
-        let proposals = hierarchy::propose(&superpoints, &planes, &regions, &region_of, &tables, settings, &proposing)?;
+        let proposals = hierarchy::propose(superpoints, &planes, &regions, &region_of, tables, settings, &proposing)?;
         outcome.produced = proposals.len();
         Ok::<_, ParseError>(proposals)
     })?;
@@ -265,12 +267,12 @@ fn group(
         false => region_of,
         true => watch.time("refinement", |outcome| {
             let refining = progress.part(ends[4], ends[5]);
-            let refined = refinement::refine(cloud, &visibility, region_of, frames, &masks_of, &refining)?;
+            let refined = refinement::refine(cloud, visibility, region_of, frames, masks_of, &refining)?;
             outcome.produced = count(&refined);
             Ok::<_, ParseError>(refined)
         })?,
     };
-    Ok(Grouped { superpoints, planes, visibility, masks_of, sharpness_of, region_of, proposals, blind })
+    Ok(Grouped { planes, region_of, proposals })
 }
 
 /// What the one who reads the report should know, given the frames that see no point of the cloud.

@@ -1,13 +1,11 @@
 //! The same room as a cloud and nothing else, in every format.
 
-use crate::room::cloud;
+use crate::room::{Points, cloud, mesh};
 use crate::writers::Out;
 use nalgebra::{Matrix4, Point3};
 use std::fmt::Write;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::ingest::Inspected;
-
-type Points = Vec<(Point3<f64>, [u8; 3])>;
 
 fn xyz(points: &Points) -> Vec<u8> {
     let mut text = String::new();
@@ -139,6 +137,34 @@ fn every_format_is_the_same_cloud() {
         check(name, &found);
         assert_eq!(found.report.cloud_points, Some(points.len() as u64), "{name}");
     }
+}
+
+/// A mesh that has corners only is as much of a scan as one with a point every few centimetres.
+#[test]
+fn meshes_of_few_corners_are_the_same_cloud() {
+    let (corners, squares) = mesh();
+    let mut in_obj = obj(&corners);
+    let mut in_ply = String::from_utf8_lossy(&ply(&corners)).split("end_header").next().unwrap().to_owned().into_bytes();
+    in_ply.extend(format!("element face {}\nproperty list uchar uint vertex_indices\nend_header\n", squares.len()).bytes());
+    for (p, c) in &corners {
+        [p.x, p.y, p.z].iter().for_each(|v| in_ply.extend(v.to_le_bytes()));
+        in_ply.extend(c);
+    }
+    for square in &squares {
+        in_obj.extend(format!("f {} {} {} {}\n", square[0] + 1, square[1] + 1, square[2] + 1, square[3] + 1).bytes());
+        in_ply.push(4);
+        square.iter().for_each(|i| in_ply.extend((*i as u32).to_le_bytes()));
+    }
+    let sampled: Vec<Inspected> = [("room.obj", in_obj), ("room.ply", in_ply)]
+        .into_iter()
+        .map(|(name, bytes)| {
+            let found = read(name, &bytes);
+            check(name, &found);
+            found
+        })
+        .collect();
+    let points = sampled.iter().map(|found| found.cloud.as_ref().unwrap().len()).collect::<Vec<_>>();
+    assert!(points[0].abs_diff(points[1]) < 2 && points[0] > 500_000, "{points:?}");
 }
 
 #[test]

@@ -10,6 +10,7 @@ mod writers;
 use camino::Utf8Path;
 use nalgebra::{Isometry3, Vector3};
 use room::{CAMERA, FRAMES, pose};
+use serde_json::json;
 use std::fs;
 use uniground_core::ingest::{self, IngestError, Inspected};
 use uniground_core::progress::Progress;
@@ -47,9 +48,13 @@ fn check_depth(what: &str, i: usize, frame: &FrameRef) {
 type Write = fn(&Out);
 
 /// What it is, its writer, and the format it is to be recognised as.
-const LAYOUTS: [(&str, Write, &str); 14] = [
+const LAYOUTS: [(&str, Write, &str); 18] = [
     ("plain", writers::plain, "color-depth-pose"),
     ("plain, paired by number", writers::plain_paired, "color-depth-pose"),
+    ("plain, depth as EXR", writers::plain_exr, "color-depth-pose"),
+    ("plain, depth as EXR of half floats", writers::plain_exr_halves, "color-depth-pose"),
+    ("plain, depth as TIFF of floats", writers::plain_tiff, "color-depth-pose"),
+    ("plain, depth as TIFF in millimetres", writers::plain_tiff_millimetres, "color-depth-pose"),
     ("ScanNet export", writers::scannet, "scannet-export"),
     ("TUM RGB-D", writers::tum, "tum-rgbd"),
     ("7-Scenes", writers::seven_scenes, "7-scenes"),
@@ -76,6 +81,62 @@ fn every_layout_is_the_same_scene() {
                 assert!(metres < 1e-3 && degrees < 0.1, "{what}, frame {i}: {metres} m and {degrees} degrees off: {report:?}");
                 check_depth(what, i, frame);
             }
+        });
+    }
+}
+
+/// Eight bits are coarse, but a depth all the same where their unit is said. Without one they are a picture to look at.
+#[test]
+fn depth_of_eight_bits_wants_a_unit() {
+    let write = |unit_m: Option<f32>| {
+        move |out: &Out| {
+            writers::plain(out);
+            let mut frames = Vec::new();
+            for i in 0..FRAMES {
+                let bytes = room::depth_m(&CAMERA, &pose(i)).into_iter().map(|z| (z / 0.02).round() as u8).collect();
+                let grey = image::GrayImage::from_raw(CAMERA.width, CAMERA.height, bytes).unwrap();
+                out.put(&format!("depth/{i}.png"), room::encoded(&grey.into(), image::ImageFormat::Png));
+                frames.push(json!({"color": format!("color/{i}.jpg"), "depth": format!("depth/{i}.png"), "pose": format!("pose/{i}.txt")}));
+            }
+            let mut manifest = json!({"format": "uniground-scene/1", "intrinsics": CAMERA, "frames": frames});
+            if let Some(unit_m) = unit_m {
+                manifest["depth_scale_m"] = json!(unit_m);
+            }
+            out.put("scene.json", manifest.to_string());
+        }
+    };
+    imported(write(Some(0.02)), |found| {
+        let Inspected { frames, report, .. } = found.unwrap();
+        assert!(report.reprojection_agreement.unwrap() > 0.8, "{report:?}");
+        let (found, there) = (frames[0].decode_depth().unwrap(), room::depth_m(&CAMERA, &pose(0)));
+        assert!(found.depth_m.iter().zip(&there).all(|(found, there)| (found - there).abs() < 0.011));
+    });
+    imported(write(None), |found| {
+        let message = found.unwrap().frames[0].decode_depth().unwrap_err().to_string();
+        assert!(message.contains("depth/0.png") && message.contains("depth_scale_m"), "{message}");
+    });
+}
+
+/// What a header announces is looked at before room is made for it.
+#[test]
+fn floats_that_lie_are_refused_by_their_headers() {
+    let broken = |write: Write, name: &'static str, at: fn(&[u8]) -> usize, with: &'static [u8]| {
+        move |out: &Out| {
+            write(out);
+            let mut bytes = fs::read(out.0.join(name)).unwrap();
+            let at = at(&bytes);
+            bytes[at..at + with.len()].copy_from_slice(with);
+            (0..FRAMES).for_each(|i| out.put(&name.replace('0', &i.to_string()), &bytes));
+        }
+    };
+    // The last column of the data window: its attribute's name and type, the size, three numbers.
+    let window: fn(&[u8]) -> usize = |bytes| bytes.windows(10).position(|w| w == b"dataWindow").unwrap() + 10 + 1 + 6 + 4 + 8;
+    // The value of the first tag, which is the width.
+    let width: fn(&[u8]) -> usize = |bytes| bytes.windows(4).position(|w| w == [0, 1, 4, 0]).unwrap() + 8;
+    for (write, name, at) in [(writers::plain_exr as Write, "depth/0.exr", window), (writers::plain_tiff, "depth/0.tiff", width)] {
+        imported(broken(write, name, at, &[0xff, 0xff, 0xff, 0x3f]), |found| {
+            let message = found.unwrap_err().to_string();
+            assert!(message.contains("frames") && message.contains("depth/"), "{message}");
         });
     }
 }

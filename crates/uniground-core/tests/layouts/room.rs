@@ -98,8 +98,10 @@ pub fn encoded(picture: &DynamicImage, format: ImageFormat) -> Vec<u8> {
     bytes.into_inner()
 }
 
+pub type Points = Vec<(Point3<f64>, [u8; 3])>;
+
 /// Points of the room's surfaces, a few centimetres apart, with colour.
-pub fn cloud() -> Vec<(Point3<f64>, [u8; 3])> {
+pub fn cloud() -> Points {
     let mut points = Vec::new();
     let mut block = |low: [f32; 3], high: [f32; 3], rgb: [u8; 3], has_top: bool, has_bottom: bool| {
         let steps: [u32; 3] = std::array::from_fn(|i| ((high[i] - low[i]) / 0.03).round() as u32);
@@ -118,4 +120,23 @@ pub fn cloud() -> Vec<(Point3<f64>, [u8; 3])> {
     block(INSIDE.0, INSIDE.1, [200, 195, 180], false, true);
     THINGS.iter().for_each(|(low, high, rgb)| block(*low, *high, *rgb, true, false));
     points
+}
+
+/// The same surfaces as corners and squares, a handful of them.
+pub fn mesh() -> (Points, Vec<[usize; 4]>) {
+    let (mut corners, mut squares) = (Vec::new(), Vec::new());
+    let mut block = |low: [f32; 3], high: [f32; 3], rgb: [u8; 3], lid: usize| {
+        let first = corners.len();
+        for i in 0..8 {
+            let at = |axis: usize| f64::from(if i >> axis & 1 == 1 { high[axis] } else { low[axis] });
+            corners.push((Point3::new(at(0), at(1), at(2)), rgb));
+        }
+        // Four walls, and a floor or a top.
+        for square in [[0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5], [lid, lid + 1, lid + 3, lid + 2]] {
+            squares.push(square.map(|i| first + i));
+        }
+    };
+    block(INSIDE.0, INSIDE.1, [200, 195, 180], 0);
+    THINGS.iter().for_each(|(low, high, rgb)| block(*low, *high, *rgb, 4));
+    (corners, squares)
 }

@@ -75,6 +75,63 @@ pub fn plain_paired(out: &Out) {
     out.put("poses.txt", list);
 }
 
+/// The plain layout with other depth pictures: metres, row-major, to a file's bytes.
+fn plain_with_depth(out: &Out, ending: &str, encode: impl Fn(&Intrinsics, Vec<f32>) -> Vec<u8>) {
+    plain(out);
+    for i in 0..FRAMES {
+        fs::remove_file(out.0.join(format!("depth/{i}.png"))).unwrap();
+        out.put(&format!("depth/{i}.{ending}"), encode(&half(), depth_m(&half(), &pose(i))));
+    }
+}
+
+/// As renderers write it: among colours, with nothing measured in a corner.
+pub fn plain_exr(out: &Out) {
+    plain_with_depth(out, "exr", |camera, mut depth| {
+        (depth[0], depth[1], depth[2]) = (f32::INFINITY, 1e10, f32::NAN);
+        exr_of(
+            camera,
+            [("B", exr::image::FlatSamples::F16(vec![half::f16::ONE; depth.len()])), ("View.Z", exr::image::FlatSamples::F32(depth))],
+        )
+    });
+}
+
+pub fn plain_exr_halves(out: &Out) {
+    plain_with_depth(out, "exr", |camera, depth| {
+        let halves = depth.into_iter().map(half::f16::from_f32).collect();
+        exr_of(camera, [("Y", exr::image::FlatSamples::F16(halves))])
+    });
+}
+
+fn exr_of<const N: usize>(camera: &Intrinsics, channels: [(&'static str, exr::image::FlatSamples); N]) -> Vec<u8> {
+    use exr::prelude::{AnyChannel, AnyChannels, Image, WritableImage};
+    let channels = channels.into_iter().map(|(name, samples)| AnyChannel::new(name, samples)).collect();
+    let image = Image::from_channels((camera.width as usize, camera.height as usize), AnyChannels::sort(channels));
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    image.write().non_parallel().to_buffered(&mut bytes).unwrap();
+    bytes.into_inner()
+}
+
+pub fn plain_tiff(out: &Out) {
+    plain_with_depth(out, "tiff", |camera, depth| tiff_of::<tiff::encoder::colortype::Gray32Float>(camera, &depth));
+}
+
+pub fn plain_tiff_millimetres(out: &Out) {
+    plain_with_depth(out, "tif", |camera, depth| {
+        let units: Vec<u16> = depth.into_iter().map(|z| (z * 1000.0).round() as u16).collect();
+        tiff_of::<tiff::encoder::colortype::Gray16>(camera, &units)
+    });
+}
+
+fn tiff_of<C: tiff::encoder::colortype::ColorType>(camera: &Intrinsics, numbers: &[C::Inner]) -> Vec<u8>
+where
+    [C::Inner]: tiff::encoder::TiffValue,
+{
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    let mut encoder = tiff::encoder::TiffEncoder::new(&mut bytes).unwrap();
+    encoder.write_image::<C>(camera.width, camera.height, numbers).unwrap();
+    bytes.into_inner()
+}
+
 pub fn scannet(out: &Out) {
     out.put("intrinsic/intrinsic_color.txt", camera_matrix(&CAMERA));
     out.put("intrinsic/intrinsic_depth.txt", camera_matrix(&half()));

@@ -97,7 +97,7 @@ fn zones_want_two_kinds_of_things() {
 }
 
 fn scene_graph(Graph { nodes, edges }: Graph) -> SceneGraph {
-    let frame = CoordinateFrame { up: "z".into(), units: "m".into() };
+    let frame = CoordinateFrame::default();
     SceneGraph { scene_id: "018f".into(), parse_version: 1, frame, nodes, edges }
 }
 

@@ -40,7 +40,12 @@ pub(super) fn walk(
     let packed_bytes = file.metadata().map_or(0, |m| m.len());
     match kind {
         ArchiveKind::Zip => walk_zip(file, limits, with_content, visitor),
-        ArchiveKind::Tar => walk_tar(BufReader::new(file), kind, limits.unpacked(packed_bytes), limits, visitor),
+        // Names alone are looked at by going from header to header.
+        ArchiveKind::Tar if !with_content => {
+            let mut tar = tar::Archive::new(file);
+            walk_tar_entries(tar.entries_with_seek().map_err(|e| kind.unreadable(e))?, kind, visitor)
+        }
+        ArchiveKind::Tar => walk_tar(file, kind, limits.unpacked(packed_bytes), limits, visitor),
         ArchiveKind::TarZst => {
             let mut decoder = zstd::Decoder::new(file).map_err(|e| kind.unreadable(e))?;
             decoder.window_log_max(MAX_WINDOW_LOG).map_err(|e| kind.unreadable(e))?;
@@ -121,16 +126,20 @@ fn announced_entries(file: &mut File) -> io::Result<Option<u64>> {
 fn walk_tar(source: impl Read, kind: ArchiveKind, bytes: u64, limits: &UnpackLimits, visitor: &mut dyn Visit) -> Result<(), IngestError> {
     // Headers count too: a tar of nothing but headers is as large as one says.
     let allowance = Allowance::of(bytes.saturating_add(limits.max_entries as u64 * TAR_HEADER_BYTES));
-    let walked = walk_tar_entries(tar::Archive::new(Bounded::new(source, &allowance)), kind, visitor);
+    let mut tar = tar::Archive::new(Bounded::new(source, &allowance));
+    let walked = tar
+        .entries()
+        .map_err(|e| kind.unreadable(e))
+        .and_then(|entries| walk_tar_entries(entries, kind, visitor));
     if allowance.is_spent() { Err(limits.too_many_bytes()) } else { walked }
 }
 
 /// Extended headers come as entries of their own here: left to itself, the reader takes them to memory whatever their size.
-fn walk_tar_entries(mut tar: tar::Archive<impl Read>, kind: ArchiveKind, visitor: &mut dyn Visit) -> Result<(), IngestError> {
+fn walk_tar_entries(entries: tar::Entries<'_, impl Read>, kind: ArchiveKind, visitor: &mut dyn Visit) -> Result<(), IngestError> {
     use tar::EntryType::{Continuous, Directory, GNULongLink, GNULongName, Regular, XGlobalHeader, XHeader};
     let mut seen_any = false;
     let mut long_name: Option<Vec<u8>> = None;
-    for entry in tar.entries().map_err(|e| kind.unreadable(e))?.raw(true) {
+    for entry in entries.raw(true) {
         let mut entry = entry.map_err(|e| kind.unreadable(e))?;
         seen_any = true;
         let entry_type = entry.header().entry_type();

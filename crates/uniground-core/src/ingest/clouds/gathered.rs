@@ -115,6 +115,16 @@ impl Gathered {
         self.loaded.cloud.len()
     }
 
+    /// The points as they came, where all of them are here: none thinned out, none dropped.
+    pub fn complete(&self) -> Option<&PointCloud> {
+        (self.loaded.cloud.len() == self.seen).then_some(&self.loaded.cloud)
+    }
+
+    /// Others in their place, counted from the same origin.
+    pub fn replace(&mut self, cloud: PointCloud) {
+        self.loaded.cloud = cloud;
+    }
+
     /// Colours of the points kept, where they are known only at the end.
     pub fn recolour(&mut self, colours: impl Iterator<Item = [u8; 3]>) {
         for (own, colour) in self.loaded.cloud.colours.iter_mut().zip(colours) {

@@ -15,7 +15,10 @@ use std::panic::AssertUnwindSafe;
 const LEAST_BYTES_PER_100_POINTS: u64 = 20;
 
 pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
-    guarded(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop)))
+    match records::Records::open(root, file)? {
+        Some(records) => records.check(file, bounds),
+        None => guarded(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop))),
+    }
 }
 
 pub(super) fn read(root: &Utf8Path, file: &Utf8Path, gathered: Gathered) -> Result<Gathered, IngestError> {

@@ -40,7 +40,8 @@ pub(super) struct Mesh {
 }
 
 impl Triangle {
-    fn area(&self) -> f64 {
+    /// In the file's units; 0 where it is no number.
+    pub fn area(&self) -> f64 {
         let [a, b, c] = self.corners.map(|corner| nalgebra::Vector3::from(corner.at));
         let area = (b - a).cross(&(c - a)).norm() / 2.0;
         if area.is_finite() { area } else { 0.0 }
@@ -70,24 +71,45 @@ impl Mesh {
         for (position, colour) in &self.points {
             gathered.push(*position, colour.unwrap_or(GREY));
         }
-        let total = self.triangles.iter().map(Triangle::area).sum::<f64>();
-        let most = total * (metres_per_unit / SPACING_M).powi(2);
-        let per_area = most.min(MAX_POINTS) / total.max(f64::MIN_POSITIVE);
-        let has_area = total.is_finite() && total > 0.0;
-        if !self.triangles.is_empty() && !has_area {
-            return Err(IngestError::malformed(file, "the faces of the mesh have no area"));
+        if self.triangles.is_empty() {
+            return Ok(());
         }
-        let (mut owed, mut drawn) = (0.5, 0_u32);
+        let area = self.triangles.iter().map(Triangle::area).sum();
+        let mut sampling =
+            Sampling::of(area, metres_per_unit).ok_or_else(|| IngestError::malformed(file, "the faces of the mesh have no area"))?;
         for triangle in &self.triangles {
-            owed += triangle.area() * per_area;
-            while owed >= 1.0 {
-                owed -= 1.0;
-                let (position, colour) = triangle.at(weights(drawn), &self.textures);
+            sampling.points(triangle, &self.textures, |position, colour| {
                 gathered.push(position, if self.has_colour { colour } else { GREY });
-                drawn = drawn.wrapping_add(1);
-            }
+            });
         }
         Ok(())
+    }
+}
+
+/// Spreads points over triangles that come one after the other.
+pub(super) struct Sampling {
+    per_area: f64,
+    /// Points of the area so far that are still to come.
+    owed: f64,
+    drawn: u32,
+}
+
+impl Sampling {
+    /// For triangles of so much area together; `None`: there is none.
+    pub fn of(area: f64, metres_per_unit: f64) -> Option<Self> {
+        let most = area * (metres_per_unit / SPACING_M).powi(2);
+        (area.is_finite() && area > 0.0).then(|| Self { per_area: most.min(MAX_POINTS) / area, owed: 0.5, drawn: 0 })
+    }
+
+    /// Points of the next triangle, with their colours.
+    pub fn points(&mut self, triangle: &Triangle, textures: &[Texture], mut hand: impl FnMut([f64; 3], [u8; 3])) {
+        self.owed += triangle.area() * self.per_area;
+        while self.owed >= 1.0 {
+            self.owed -= 1.0;
+            let (position, colour) = triangle.at(weights(self.drawn), textures);
+            hand(position, colour);
+            self.drawn = self.drawn.wrapping_add(1);
+        }
     }
 }
 

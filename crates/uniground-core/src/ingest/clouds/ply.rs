@@ -1,8 +1,9 @@
-//! PLY: ascii, little and big endian; properties by name in any order; faces are skipped.
+//! PLY: ascii, little and big endian; properties by name in any order. Scans' meshes are read by their vertices, coarse ones are sampled.
 //!
 //! The header goes through the `ply-rs-bw` parser. Rows are read here, one block or line at a time: it is faster, ascii may hold `nan`, and
 //! nothing is held in memory because a header says so.
 
+mod faces;
 mod rows;
 
 use super::Gathered;
@@ -28,17 +29,23 @@ pub fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), In
     bounds.check(file, header.elements.get("vertex").map_or(0, |vertex| vertex.count as u64))
 }
 
-/// Reads the vertices of a PLY file. Those without colour come out mid-grey.
+/// Reads the vertices of a PLY file, or points of its faces where its vertices are sparse. Those without colour come out mid-grey.
 ///
 /// # Errors
 /// [`IngestError`] naming `file` (a path below `root`).
 pub fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let (header, mut source) = open(root, file)?;
+    let mut has_vertices = false;
     for element in header.elements.values() {
         let rows = Rows::of(element, &header.encoding);
+        let named = |e: String| malformed(format!("{}: {e}", element.name));
+        if has_vertices && rows.has_corners() && element.count > 0 {
+            faces::sample_if_sparse(&rows, &mut source, element.count, &mut gathered).map_err(named)?;
+            break;
+        }
         if element.name != "vertex" {
-            rows.skip(&mut source, element.count).map_err(|e| malformed(format!("{}: {e}", element.name)))?;
+            rows.skip(&mut source, element.count).map_err(named)?;
             continue;
         }
         gathered.coloured(["red", "green", "blue"].iter().all(|c| element.properties.contains_key(*c)));
@@ -49,7 +56,10 @@ pub fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<
         }
         gathered.expect(file, element.count)?;
         rows.read(&mut source, element.count, &mut gathered).map_err(malformed)?;
-        break;
+        has_vertices = true;
+        if !header.elements.values().any(|element| Rows::of(element, &header.encoding).has_corners()) {
+            break;
+        }
     }
     Ok(gathered)
 }
@@ -114,6 +124,7 @@ impl Vertex {
 }
 
 /// One vertex; what is not said stays mid-grey.
+#[derive(Clone, Copy)]
 struct Vertex {
     position: [f64; 3],
     colour: [u8; 3],
@@ -143,18 +154,19 @@ impl Vertex {
     }
 
     /// Bytes of a channel are taken as they are, 16 bits by 1/257, floats from `0..=1`.
+    #[inline]
     fn set(&mut self, field: Field, value: f64, scalar: &ScalarType) {
         match field {
             Field::Coordinate(axis) => self.position[axis] = value,
             Field::Channel(_) if value.is_nan() => self.nan_colour = true,
             Field::Channel(channel) => {
-                let scale = match scalar {
-                    ScalarType::UShort | ScalarType::Short => 1.0 / 257.0,
-                    ScalarType::Float | ScalarType::Double => 255.0,
-                    _ => 1.0,
+                let level = match scalar {
+                    ScalarType::UShort | ScalarType::Short => (value * (1.0 / 257.0)).round(),
+                    ScalarType::Float | ScalarType::Double => (value * 255.0).round(),
+                    _ => value,
                 };
                 // Out-of-range channels saturate: `as` clamps.
-                self.colour[channel] = (value * scale).round() as u8;
+                self.colour[channel] = level as u8;
             }
         }
     }
@@ -298,7 +310,7 @@ mod tests {
             (b"hello".to_vec(), "not a PLY file"),
             (header("binary_little_endian", 1_000_000_000, XYZ_RGB), "announces 1000000000 vertices"),
             ([header("binary_little_endian", 3, XYZ_RGB), vec![0; 20]].concat(), "truncated"),
-            ([header("ascii", 2, XYZ_RGB), b"1 2 3 4 5 6\n".to_vec()].concat(), "1 of 2 vertices"),
+            ([header("ascii", 2, XYZ_RGB), b"1 2 3 4 5 6\n".to_vec()].concat(), "1 of 2 rows"),
             (b"ply\nformat binary_little_endian 1.0\nelement foo 400000000\nelement vertex 1\nproperty float x\nproperty float y\nproperty float z\nend_header\n".to_vec(), "400000000 rows"),
             ([header("ascii", 1, XYZ_RGB), b"500000 5400000 3 4 5 6\n".to_vec()].concat(), "10 km"),
             ([header("ascii", 1, XYZ_RGB), b"3e38 0 3 4 5 6\n".to_vec()].concat(), "10 km"),

@@ -6,7 +6,7 @@ use super::numbers::read_pose;
 use super::trajectory::{self, Trajectory};
 use super::{entry, intrinsics, pairing};
 use crate::ingest::IngestError;
-use crate::ingest::scan::{RawFrame, Scan};
+use crate::ingest::scan::{RawFrame, Scan, usual_depth_scale_m};
 use crate::scene::{Confidence, FrameIndex, Intrinsics, Optics};
 use camino::Utf8PathBuf;
 
@@ -34,6 +34,7 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     let list =
         |names: &[&'static str], endings: &[&str]| folder.first_folder(names).map_or(Ok(Vec::new()), |name| folder.files(name, endings));
     let pictures = Pictures { colour: list(COLOUR, PICTURES)?, depth: list(DEPTH, DEPTHS)?, confidence: list(CONFIDENCE, &["png"])? };
+    scan.depth_scale_m = usual_depth_scale_m(&folder.root, &pictures.depth);
     let poses = match folder.first_folder(POSE) {
         Some(name) => Poses::Files(folder.files(name, &["txt"])?),
         None => match folder.first_file(TRAJECTORIES) {

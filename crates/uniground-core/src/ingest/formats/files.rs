@@ -16,7 +16,7 @@ pub(super) struct Folder {
 /// Endings of colour pictures that are read.
 pub(super) const PICTURES: &[&str] = &["jpg", "jpeg", "png"];
 /// Endings of depth pictures that are read.
-pub(super) const DEPTHS: &[&str] = &["png", "pgm"];
+pub(super) const DEPTHS: &[&str] = &["png", "pgm", "exr", "tif", "tiff"];
 /// Endings of clouds and meshes.
 const CLOUDS: &[&str] = &["ply", "pcd", "las", "laz", "e57", "glb", "gltf", "obj", "xyz", "xyzrgb", "xyzn", "pts", "txt", "csv", "asc"];
 

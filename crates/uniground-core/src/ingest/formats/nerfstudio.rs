@@ -6,7 +6,7 @@ use super::numbers::matrix;
 use super::{entry, incomplete};
 use crate::ingest::IngestError;
 use crate::ingest::bounded::read_text;
-use crate::ingest::scan::{CameraAxes, RawFrame, Scan, picture_size};
+use crate::ingest::scan::{CameraAxes, RawFrame, Scan, picture_size, usual_depth_scale_m};
 use crate::scene::{FrameIndex, Intrinsics, Lens, Optics};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Deserialize;
@@ -142,6 +142,10 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     }
     for (i, frame) in transforms.frames.iter().enumerate() {
         scan.add(raw_frame(root, i, frame, transforms.camera))?;
+    }
+    // The scale is one of integers.
+    if usual_depth_scale_m(root, scan.frames.iter().map(|frame| &frame.depth)) == 1.0 {
+        scan.depth_scale_m = 1.0;
     }
     Ok(scan)
 }

@@ -6,7 +6,7 @@ use super::numbers::read_pose;
 use crate::geometry::up_axis::UpAxis;
 use crate::ingest::IngestError;
 use crate::ingest::bounded::read_text;
-use crate::ingest::scan::{CameraAxes, RawFrame, Scan};
+use crate::ingest::scan::{CameraAxes, RawFrame, Scan, usual_depth_scale_m};
 use crate::scene::{Confidence, DepthSensor, FrameIndex, Intrinsics, Lens, Optics, PoseConvention};
 use camino::{Utf8Path, Utf8PathBuf};
 use nalgebra::Matrix4;
@@ -29,8 +29,8 @@ struct Manifest {
     cloud: Option<Utf8PathBuf>,
     intrinsics: Option<Intrinsics>,
     depth_intrinsics: Option<Intrinsics>,
-    #[serde(default = "millimetres")]
-    depth_scale_m: f32,
+    /// Default: millimetres for integers, metres for floats.
+    depth_scale_m: Option<f32>,
     #[serde(default = "opencv")]
     camera_axes: CameraAxes,
     #[serde(default = "camera_to_world")]
@@ -58,10 +58,6 @@ struct ManifestFrame {
     confidence: Option<Utf8PathBuf>,
 }
 
-fn millimetres() -> f32 {
-    0.001
-}
-
 fn opencv() -> CameraAxes {
     CameraAxes::Opencv
 }
@@ -81,7 +77,16 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
     if manifest.format != FORMAT {
         return Err(IngestError::malformed(file, format!("format is {:?}, this server reads {FORMAT:?}", manifest.format)));
     }
-    let depth_scale_m = manifest.depth_scale_m;
+    for frame in &manifest.frames {
+        for path in [Some(&frame.color), Some(&frame.depth), Some(&frame.pose), frame.confidence.as_ref()]
+            .into_iter()
+            .flatten()
+        {
+            inside(path, NAMED)?;
+        }
+    }
+    let usual = || usual_depth_scale_m(root, manifest.frames.iter().map(|frame| &frame.depth));
+    let depth_scale_m = manifest.depth_scale_m.unwrap_or_else(usual);
     if !(depth_scale_m.is_finite() && depth_scale_m > 0.0) {
         return Err(IngestError::malformed(file, format!("depth_scale_m is {depth_scale_m}, it must be positive")));
     }
@@ -92,12 +97,6 @@ pub(super) fn read(folder: &Folder) -> Result<Scan, IngestError> {
             .intrinsics
             .or(manifest.intrinsics)
             .ok_or_else(|| IngestError::MissingIntrinsics { file: format!("scene.json, frame {i}").into() })?;
-        for path in [Some(&frame.color), Some(&frame.depth), Some(&frame.pose), frame.confidence.as_ref()]
-            .into_iter()
-            .flatten()
-        {
-            inside(path, NAMED)?;
-        }
         let depth_intrinsics = frame.depth_intrinsics.or(manifest.depth_intrinsics);
         // Depth without a camera of its own is seen through the colour camera's lens.
         let shared = if depth_intrinsics.is_none() { manifest.distortion } else { None };

@@ -175,6 +175,7 @@ pub(crate) mod tests {
             found_for: None,
             merged_from: Vec::new(),
             dismissed: false,
+            gone: false,
         }
     }
 

@@ -67,6 +67,7 @@ impl Scene {
             found_for: None,
             merged_from: Vec::new(),
             dismissed: false,
+            gone: false,
         });
     }
 

@@ -18,7 +18,7 @@ use crate::scene_parsing::planes::Planes;
 use crate::scene_parsing::superpoints::Superpoints;
 use crate::scene_parsing::views::Sighting;
 use rayon::prelude::*;
-pub use single::of_points;
+pub use single::{merged, of_points};
 use std::collections::BTreeMap;
 pub use support::supports;
 use uniground_types::settings::InstanceSettings;
@@ -119,6 +119,7 @@ pub fn build<'a>(
             found_for: None,
             merged_from: Vec::new(),
             dismissed: false,
+            gone: false,
         })
         .collect();
     let renumbered = |sighting: Sighting| Sighting { instance: new_id[sighting.instance.0 as usize], ..sighting };

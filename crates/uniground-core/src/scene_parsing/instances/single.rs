@@ -1,10 +1,39 @@
-//! One more instance beside those that are known.
+//! One more instance beside those that are known: of points, or of what several of them have.
 
 use super::{Shape, support};
 use crate::geometry::boxes::Aabb;
 use crate::models::attributes::name_guesses;
-use crate::scene::{Instance, InstanceId, Level, PointCloud, Structure, Support};
+use crate::scene::{Instance, InstanceId, Level, PointCloud, Structure, Support, views_of_all};
 use uniground_types::settings::InstanceSettings;
+
+/// The most views that what was merged has.
+const MOST_VIEWS: usize = 5;
+
+/// One thing of the points of several, the next of the known instances; `owner` says whose a point is. `None` where they have none.
+#[must_use]
+pub fn merged(
+    cloud: &PointCloud,
+    owner: impl Fn(usize) -> InstanceId,
+    members: &[InstanceId],
+    known: &[Instance],
+    settings: &InstanceSettings,
+) -> Option<Instance> {
+    let points: Vec<u32> = (0..cloud.len())
+        .filter(|&point| members.contains(&owner(point)))
+        .map(|point| point as u32)
+        .collect();
+    if points.is_empty() {
+        return None;
+    }
+    let shown: Vec<&Instance> = members.iter().map(|id| &known[id.0 as usize - 1]).collect();
+    // It does not rest on what it is made of.
+    let beside: Vec<Instance> = known
+        .iter()
+        .map(|i| Instance { dismissed: i.dismissed || members.contains(&i.id), ..i.clone() })
+        .collect();
+    let whole = of_points(cloud, &points, &beside, settings);
+    Some(Instance { views: views_of_all(&shown, MOST_VIEWS), merged_from: members.to_vec(), ..whole })
+}
 
 /// These points of the cloud as the next of the known instances: a thing, without views.
 #[must_use]
@@ -46,6 +75,7 @@ pub fn of_points(cloud: &PointCloud, points: &[u32], known: &[Instance], setting
         found_for: None,
         merged_from: Vec::new(),
         dismissed: false,
+        gone: false,
     };
     Instance { names: name_guesses(&found), ..found }
 }

@@ -4,6 +4,7 @@
 //! labels depend on the points and settings alone.
 
 mod flow;
+mod growth;
 mod region_growing;
 mod voxel_cloud;
 
@@ -12,6 +13,7 @@ use crate::geometry::voxels::typical_spacing_m;
 use crate::geometry::{Matrix3, Point3, Vector3};
 use crate::progress::{Cancelled, Progress};
 use crate::scene::PointCloud;
+pub use growth::grown;
 use nalgebra::SymmetricEigen;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};

@@ -2,7 +2,7 @@
 
 use crate::ingest::IngestError;
 use crate::ingest::clouds::Gathered;
-use crate::ingest::clouds::gathered::GREY;
+use crate::ingest::clouds::gathered::{Bounds, GREY};
 use camino::Utf8Path;
 use std::fs::File;
 use std::io::{BufReader, Read, Seek, SeekFrom};
@@ -17,6 +17,8 @@ pub(super) struct Records {
     source: BufReader<File>,
     points: u64,
     bytes: usize,
+    /// Of the file, from its first record on.
+    file_bytes: u64,
     /// Where red, green and blue are, sixteen bits each.
     colour: Option<usize>,
     scale: [f64; 3],
@@ -59,9 +61,22 @@ impl Records {
             false => u64::from(u32::from_le_bytes(at(&header, 107))),
         };
         let start = u64::from(u32::from_le_bytes(at(&header, 96)));
+        let file_bytes = source.metadata().map_err(io)?.len().saturating_sub(start);
         source.seek(SeekFrom::Start(start)).map_err(io)?;
         let source = BufReader::with_capacity(BLOCK_BYTES, source);
-        Ok(Some(Self { source, points, bytes, colour, scale: three(131), offset: three(155) }))
+        Ok(Some(Self { source, points, bytes, file_bytes, colour, scale: three(131), offset: three(155) }))
+    }
+
+    /// Whether as many points as are announced may be read, and can be there.
+    pub fn check(&self, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
+        bounds.check(file, self.points)?;
+        match self.points.saturating_mul(self.bytes as u64) > self.file_bytes {
+            true => {
+                let reason = format!("it announces {} points but has only {} bytes of them", self.points, self.file_bytes);
+                Err(IngestError::malformed(file, reason))
+            }
+            false => Ok(()),
+        }
     }
 
     pub fn read(mut self, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
@@ -138,6 +153,21 @@ mod tests {
     fn colours_of_eight_bits_are_taken_as_such() {
         let loaded = read(&las()).unwrap();
         assert_eq!((loaded.cloud.positions[1].z, loaded.cloud.colours[0]), (3.5, [10, 20, 200]));
+    }
+
+    #[test]
+    fn counts_that_lie_are_told_by_the_header() {
+        let mut many = las();
+        many[107..111].copy_from_slice(&900_u32.to_le_bytes());
+        assert!(read(&many).unwrap_err().to_string().contains("announces 900 points but has only 52 bytes"));
+        // Found by fuzzing: a count of version 1.4 that is no number of bytes any more.
+        let mut endless = las();
+        endless.splice(227..227, [0; 148]);
+        endless[25] = 4;
+        endless[94..96].copy_from_slice(&375_u16.to_le_bytes());
+        endless[96..100].copy_from_slice(&375_u32.to_le_bytes());
+        endless[247..255].copy_from_slice(&(u64::MAX / 2).to_le_bytes());
+        assert!(read(&endless).unwrap_err().to_string().contains("1000 are read at most"));
     }
 
     proptest! {

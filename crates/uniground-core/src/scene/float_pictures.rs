@@ -1,0 +1,167 @@
+//! Depth pictures that hold what was measured: `OpenEXR`, and TIFF of one channel. Sizes are looked at before room is made for them.
+
+use camino::Utf8Path;
+use exr::block::reader::Reader;
+use exr::image::FlatSamples;
+use exr::meta::header::Header;
+use exr::prelude::{MetaData, ReadChannels, ReadLayers, read};
+use std::fs::File;
+use std::io::{self, BufReader, Read};
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::tags::Tag;
+
+const EXR_MAGIC: &[u8; 4] = b"\x76\x2f\x31\x01";
+const TIFF_MAGICS: [&[u8; 4]; 4] = [b"II\x2a\0", b"MM\0\x2a", b"II\x2b\0", b"MM\0\x2b"];
+/// What distance goes by among the channels of an EXR, the best first; of three that are alike, red.
+const CHANNELS: [&str; 5] = ["z", "depth", "y", "v", "r"];
+/// Memory that a picture's own numbers may take.
+const MAX_BYTES: u64 = 256 << 20;
+/// `SampleFormat` of IEEE floats.
+const IEEE_FLOATS: u16 = 3;
+
+/// Numbers of a picture, row-major.
+pub(super) enum Numbers {
+    Floats(Vec<f32>),
+    Words(Vec<u16>),
+    Bytes(Vec<u8>),
+}
+
+/// A picture of one channel.
+pub(super) struct Grey {
+    pub size: (u32, u32),
+    pub numbers: Numbers,
+}
+
+#[derive(Clone, Copy, PartialEq)]
+enum Kind {
+    Exr,
+    Tiff,
+}
+
+/// Width and height of an EXR or TIFF; `None`: the file is neither.
+///
+/// # Errors
+/// Those of the file system; a header that can not be read.
+pub fn float_picture_size(file: &Utf8Path) -> io::Result<Option<(u32, u32)>> {
+    Ok(match kind(file)? {
+        None => None,
+        Some(Kind::Exr) => Some(exr_size(&MetaData::read_from_buffered(buffered(file)?, false).map_err(damaged)?.headers)?),
+        Some(Kind::Tiff) => Some(tiff(file)?.dimensions().map_err(damaged)?),
+    })
+}
+
+/// Whether a file is an EXR, or a TIFF of floats: those are metres by habit, integers are millimetres.
+///
+/// # Errors
+/// Those of the file system; a header that can not be read.
+pub fn is_float_picture(file: &Utf8Path) -> io::Result<bool> {
+    Ok(match kind(file)? {
+        None => false,
+        Some(Kind::Exr) => true,
+        Some(Kind::Tiff) => {
+            let formats = tiff(file)?.find_tag_unsigned_vec::<u16>(Tag::SampleFormat).map_err(damaged)?;
+            formats.is_some_and(|formats| formats.first() == Some(&IEEE_FLOATS))
+        }
+    })
+}
+
+/// The picture; `None`: the file is neither EXR nor TIFF.
+pub(super) fn read_grey(file: &Utf8Path) -> io::Result<Option<Grey>> {
+    kind(file)?.map(|kind| if kind == Kind::Exr { read_exr(file) } else { read_tiff(file) }).transpose()
+}
+
+fn kind(file: &Utf8Path) -> io::Result<Option<Kind>> {
+    let mut magic = [0; 4];
+    if File::open(file)?.read_exact(&mut magic).is_err() {
+        return Ok(None);
+    }
+    Ok(match &magic {
+        EXR_MAGIC => Some(Kind::Exr),
+        magic if TIFF_MAGICS.contains(&magic) => Some(Kind::Tiff),
+        _ => None,
+    })
+}
+
+fn buffered(file: &Utf8Path) -> io::Result<BufReader<File>> {
+    File::open(file).map(BufReader::new)
+}
+
+fn damaged(reason: impl Into<Box<dyn std::error::Error + Send + Sync>>) -> io::Error {
+    io::Error::new(io::ErrorKind::InvalidData, reason)
+}
+
+fn exr_size(headers: &[Header]) -> io::Result<(u32, u32)> {
+    let first = headers
+        .iter()
+        .find(|header| !header.deep)
+        .ok_or_else(|| damaged("all its layers are deep: flatten it"))?;
+    let side = |pixels: usize| u32::try_from(pixels).map_err(damaged);
+    Ok((side(first.layer_size.width())?, side(first.layer_size.height())?))
+}
+
+fn read_exr(file: &Utf8Path) -> io::Result<Grey> {
+    let reader = Reader::read_from_buffered(buffered(file)?, false).map_err(damaged)?;
+    let bytes = |header: &Header| {
+        let pixels = header.layer_size.width() as u64 * header.layer_size.height() as u64;
+        pixels.saturating_mul(header.channels.bytes_per_pixel as u64)
+    };
+    let bytes = reader.headers().iter().map(bytes).fold(0, u64::saturating_add);
+    if bytes > MAX_BYTES {
+        return Err(damaged(format!("it announces {bytes} bytes of pixels, {MAX_BYTES} are read at most")));
+    }
+    let size = exr_size(reader.headers())?;
+    let image = read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .all_channels()
+        .first_valid_layer()
+        .all_attributes()
+        .non_parallel();
+    let mut channels = image.from_chunks(reader).map_err(damaged)?.layer_data.channel_data.list;
+    // "scene.Z" is the Z of a layer.
+    let name = |at: usize| channels[at].name.to_string().rsplit('.').next().unwrap_or_default().to_ascii_lowercase();
+    let found = CHANNELS.iter().find_map(|wanted| (0..channels.len()).find(|at| name(*at) == *wanted));
+    let Some(at) = found.or((channels.len() == 1).then_some(0)) else {
+        return Err(damaged("none of its channels is called Z, depth, Y, V or R"));
+    };
+    let floats = match channels.swap_remove(at).sample_data {
+        FlatSamples::F32(floats) => floats,
+        FlatSamples::F16(halves) => halves.into_iter().map(half::f16::to_f32).collect(),
+        FlatSamples::U32(units) => units.into_iter().map(|unit| unit as f32).collect(),
+    };
+    whole(size, floats.len())?;
+    Ok(Grey { size, numbers: Numbers::Floats(floats) })
+}
+
+fn tiff(file: &Utf8Path) -> io::Result<Decoder<BufReader<File>>> {
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = MAX_BYTES as usize;
+    limits.intermediate_buffer_size = MAX_BYTES as usize;
+    Ok(Decoder::new(buffered(file)?).map_err(damaged)?.with_limits(limits))
+}
+
+fn read_tiff(file: &Utf8Path) -> io::Result<Grey> {
+    let mut tiff = tiff(file)?;
+    let (size, colours) = (tiff.dimensions().map_err(damaged)?, tiff.colortype().map_err(damaged)?);
+    let not_depth = || damaged(format!("it is no depth picture: it must be grey, floats or 16 bits, this is {colours:?}"));
+    if !matches!(colours, tiff::ColorType::Gray(_)) {
+        return Err(not_depth());
+    }
+    let (count, numbers) = match tiff.read_image().map_err(damaged)? {
+        DecodingResult::F32(floats) => (floats.len(), Numbers::Floats(floats)),
+        DecodingResult::F64(floats) => (floats.len(), Numbers::Floats(floats.into_iter().map(|z| z as f32).collect())),
+        DecodingResult::F16(halves) => (halves.len(), Numbers::Floats(halves.into_iter().map(half::f16::to_f32).collect())),
+        DecodingResult::U16(words) => (words.len(), Numbers::Words(words)),
+        DecodingResult::U8(bytes) => (bytes.len(), Numbers::Bytes(bytes)),
+        _ => return Err(not_depth()),
+    };
+    whole(size, count)?;
+    Ok(Grey { size, numbers })
+}
+
+fn whole((width, height): (u32, u32), count: usize) -> io::Result<()> {
+    match count as u64 == u64::from(width) * u64::from(height) {
+        true => Ok(()),
+        false => Err(damaged(format!("it holds {count} numbers for {width}x{height} pixels"))),
+    }
+}

@@ -1,0 +1,196 @@
+//! The words of tus 1.0, a protocol for uploads that are gone on with (<https://tus.io/protocols/resumable-upload>): its headers and its
+//! version. What they mean is the service's business, so that another protocol can stand beside this one.
+
+use super::problem::Refused;
+use crate::service::{Algorithm, Checksum};
+use axum::extract::Request;
+use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
+use axum::middleware::Next;
+use axum::response::{AppendHeaders, IntoResponse, Response};
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use jiff::Timestamp;
+use jiff::fmt::rfc2822::DateTimePrinter;
+use uniground_types::uploads::Upload;
+
+pub const RESUMABLE: HeaderName = HeaderName::from_static("tus-resumable");
+pub const VERSION: HeaderName = HeaderName::from_static("tus-version");
+pub const EXTENSION: HeaderName = HeaderName::from_static("tus-extension");
+pub const MAX_SIZE: HeaderName = HeaderName::from_static("tus-max-size");
+pub const CHECKSUM_ALGORITHM: HeaderName = HeaderName::from_static("tus-checksum-algorithm");
+pub const OFFSET: HeaderName = HeaderName::from_static("upload-offset");
+pub const LENGTH: HeaderName = HeaderName::from_static("upload-length");
+pub const METADATA: HeaderName = HeaderName::from_static("upload-metadata");
+pub const CHECKSUM: HeaderName = HeaderName::from_static("upload-checksum");
+pub const EXPIRES: HeaderName = HeaderName::from_static("upload-expires");
+pub const METHOD_OVERRIDE: HeaderName = HeaderName::from_static("x-http-method-override");
+/// What the upload has become; no words of tus's.
+pub const SCENE_ID: HeaderName = HeaderName::from_static("uniground-scene-id");
+pub const JOB_ID: HeaderName = HeaderName::from_static("uniground-job-id");
+
+const SPOKEN: HeaderValue = HeaderValue::from_static("1.0.0");
+const EXTENSIONS: &str = "creation,creation-with-upload,checksum,expiration,termination";
+const PART: &str = "application/offset+octet-stream";
+/// Longest metadata kept, bytes.
+const MOST_METADATA: usize = 8 << 10;
+
+/// The version of tus that is spoken here.
+#[derive(utoipa::ToSchema)]
+#[expect(dead_code, reason = "only its schema is used")]
+pub enum Version {
+    #[schema(rename = "1.0.0")]
+    Spoken,
+}
+
+/// Answers only who speaks this version, and says which one it is.
+pub async fn speak(request: Request, next: Next) -> Response {
+    let is_asked = matches!(*request.method(), Method::POST | Method::HEAD | Method::PATCH | Method::DELETE);
+    let mut response = match is_asked && request.headers().get(RESUMABLE) != Some(&SPOKEN) {
+        true => {
+            let detail = "uploads in parts speak tus 1.0: send the header Tus-Resumable: 1.0.0";
+            let refused = Refused::new(StatusCode::PRECONDITION_FAILED, "tus_version_unknown", detail);
+            ([(VERSION, SPOKEN)], refused).into_response()
+        }
+        false => next.run(request).await,
+    };
+    response.headers_mut().insert(RESUMABLE, SPOKEN);
+    response
+}
+
+/// What this server can do.
+pub fn capabilities(max_bytes: u64) -> Response {
+    let algorithms = Algorithm::ALL.map(Algorithm::word).join(",");
+    let told = [
+        (VERSION, "1.0.0".to_owned()),
+        (EXTENSION, EXTENSIONS.to_owned()),
+        (MAX_SIZE, max_bytes.to_string()),
+        (CHECKSUM_ALGORITHM, algorithms),
+    ];
+    (StatusCode::NO_CONTENT, AppendHeaders(told)).into_response()
+}
+
+/// How far an upload is, and what it has become.
+pub fn state(upload: &Upload) -> HeaderMap {
+    let mut headers = HeaderMap::new();
+    headers.insert(OFFSET, upload.offset.into());
+    let expires = upload.expires_at.as_deref().and_then(|at| at.parse::<Timestamp>().ok());
+    let expires = expires.and_then(|at| DateTimePrinter::new().timestamp_to_rfc9110_string(&at).ok());
+    for (name, value) in [(EXPIRES, &expires), (SCENE_ID, &upload.scene_id), (JOB_ID, &upload.job_id)] {
+        headers.extend(value.as_ref().and_then(|value| HeaderValue::from_str(value).ok()).map(|value| (name, value)));
+    }
+    headers
+}
+
+/// Whether a body is a part of an upload.
+pub fn is_part(headers: &HeaderMap) -> bool {
+    headers.get(header::CONTENT_TYPE).is_some_and(|media_type| media_type == PART)
+}
+
+/// # Errors
+/// When it is something else.
+pub fn check_part(headers: &HeaderMap) -> Result<(), Refused> {
+    if is_part(headers) {
+        return Ok(());
+    }
+    Err(Refused::new(
+        StatusCode::UNSUPPORTED_MEDIA_TYPE,
+        "unsupported_media_type",
+        format!("a part of an upload is {PART}"),
+    ))
+}
+
+/// A header that is a number of bytes.
+///
+/// # Errors
+/// When it is missing, or none.
+pub fn bytes(headers: &HeaderMap, name: &HeaderName) -> Result<u64, Refused> {
+    let value = headers
+        .get(name)
+        .and_then(|value| value.to_str().ok())
+        .filter(|value| value.bytes().all(|byte| byte.is_ascii_digit()));
+    // SQLite and many clients count with 63 bits.
+    let value = value.and_then(|value| value.parse().ok()).filter(|bytes| i64::try_from(*bytes).is_ok());
+    value.ok_or_else(|| wrong(name, "a number of bytes is wanted"))
+}
+
+/// What a part's bytes are said to come to.
+///
+/// # Errors
+/// When that is no checksum known here.
+pub fn checksum(headers: &HeaderMap) -> Result<Option<Checksum>, Refused> {
+    let Some(value) = headers.get(CHECKSUM) else { return Ok(None) };
+    let read = || {
+        let (word, sum) = value.to_str().ok()?.split_once(' ')?;
+        let algorithm = Algorithm::ALL.into_iter().find(|algorithm| algorithm.word() == word)?;
+        let sum = STANDARD.decode(sum.trim()).ok().filter(|sum| sum.len() == algorithm.bytes())?;
+        Some(Checksum { algorithm, sum })
+    };
+    let known = Algorithm::ALL.map(Algorithm::word).join(" or ");
+    read()
+        .map(Some)
+        .ok_or_else(|| wrong(&CHECKSUM, &format!("{known} is wanted, a space, and the sum in base64")))
+}
+
+/// What is said of an upload.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Metadata {
+    /// The header as it came.
+    pub header: Option<String>,
+    /// Keys and texts.
+    pub pairs: Vec<(String, String)>,
+}
+
+/// What is said of an upload.
+///
+/// # Errors
+/// When it can not be read.
+pub fn metadata(headers: &HeaderMap) -> Result<Metadata, Refused> {
+    let Some(value) = headers.get(METADATA) else { return Ok(Metadata::default()) };
+    let value = value.to_str().ok().filter(|value| value.len() <= MOST_METADATA);
+    let value = value.ok_or_else(|| wrong(&METADATA, &format!("at most {MOST_METADATA} visible characters")))?;
+    let pairs = value.split(',').map(str::trim).filter(|pair| !pair.is_empty()).map(|pair| {
+        let (key, coded) = pair.split_once(' ').unwrap_or((pair, ""));
+        let text = STANDARD.decode(coded.trim()).ok().and_then(|bytes| String::from_utf8(bytes).ok());
+        text.map(|text| (key.to_owned(), text))
+    });
+    let pairs: Option<Vec<_>> = pairs.collect();
+    let pairs = pairs.ok_or_else(|| wrong(&METADATA, "pairs of a key and a text in base64 are wanted, with commas between them"))?;
+    Ok(Metadata { header: Some(value.to_owned()).filter(|value| !value.is_empty()), pairs })
+}
+
+fn wrong(name: &HeaderName, detail: &str) -> Refused {
+    Refused::new(StatusCode::BAD_REQUEST, "header_wrong", format!("{name}: {detail}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(name: HeaderName, value: &'static str) -> HeaderMap {
+        HeaderMap::from_iter([(name, HeaderValue::from_static(value))])
+    }
+
+    #[test]
+    fn metadata_is_pairs_in_base64() {
+        let read = |value| metadata(&of(METADATA, value)).map(|metadata| metadata.pairs);
+        let pair = |key: &str, text: &str| (key.to_owned(), text.to_owned());
+        let room = "filename cm9vbS56aXA=,name w6Rscw==, is_confidential";
+        assert_eq!(read(room).unwrap(), [pair("filename", "room.zip"), pair("name", "äls"), pair("is_confidential", "")]);
+        assert_eq!(read("").unwrap(), []);
+        assert!(read("filename room.zip").is_err() && read("filename /w==").is_err());
+        assert_eq!(metadata(&HeaderMap::new()).unwrap(), Metadata::default());
+    }
+
+    #[test]
+    fn numbers_and_sums_are_read_strictly() {
+        for (value, read) in [("0", Some(0)), ("17", Some(17)), ("+1", None), ("-1", None), ("", None), ("9223372036854775808", None)] {
+            assert_eq!(bytes(&of(OFFSET, value), &OFFSET).ok(), read, "{value:?}");
+        }
+        assert!(bytes(&HeaderMap::new(), &OFFSET).is_err());
+        let read = |value| checksum(&of(CHECKSUM, value)).ok().flatten().map(|checksum| checksum.algorithm);
+        assert_eq!(read("sha1 Kq5sNclPz7QV2+lfQIuc6R7oRu0="), Some(Algorithm::Sha1));
+        for wrong in ["sha1 Kq5s", "md5 Kq5sNclPz7QV2+lfQIuc6R7oRu0=", "sha1", "sha256 Kq5sNclPz7QV2+lfQIuc6R7oRu0="] {
+            assert_eq!(read(wrong), None, "{wrong:?}");
+        }
+    }
+}

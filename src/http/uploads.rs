@@ -1,0 +1,365 @@
+//! `/v1/uploads`: scans that come in parts, in the words of tus 1.0.
+
+use super::extract::{Path, Query};
+use super::problem::Refused;
+use super::{App, Asking, tus};
+use crate::service::{Caller, NewUpload, Part};
+use crate::store::WantedScene;
+use axum::Extension;
+use axum::body::Body;
+use axum::extract::{Request, State};
+use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::middleware::from_fn;
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use uniground_types::geometry::up_axis::UpAxis;
+use uniground_types::problem::Problem;
+use uniground_types::settings::ParsePreset;
+use uniground_types::uploads::Upload;
+use utoipa::IntoParams;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+pub fn routes() -> OpenApiRouter<App> {
+    OpenApiRouter::new()
+        .routes(routes!(create, capabilities))
+        .routes(routes!(get, head, append, post, delete))
+        .layer(from_fn(tus::speak))
+}
+
+/// What is to be made of an upload. `Upload-Metadata` says the same under the same names; where both do, this counts.
+#[derive(Debug, Default, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct UploadParameters {
+    /// Name of the scene; default: what the archive calls itself.
+    #[param(max_length = 200)]
+    name: Option<String>,
+    /// What the file is called; its ending tells what its bytes do not.
+    #[param(max_length = 200)]
+    filename: Option<String>,
+    /// `false` only stores the scan.
+    #[param(default = true)]
+    parse: Option<bool>,
+    /// The axis that points up in the files, for archives that do not say; default: the axis the cameras hold up.
+    #[param(inline)]
+    up: Option<UpAxis>,
+    /// Settings to parse with.
+    #[param(inline)]
+    preset: Option<ParsePreset>,
+}
+
+impl UploadParameters {
+    fn of(pairs: Vec<(String, String)>) -> Result<Self, Refused> {
+        let mut parameters = Self::default();
+        for (key, text) in pairs {
+            match key.as_str() {
+                "name" => parameters.name = Some(text),
+                "filename" => parameters.filename = Some(text),
+                "parse" => parameters.parse = Some(text.parse().map_err(|_| Refused::invalid("parse", "\"true\" or \"false\""))?),
+                "up" => parameters.up = Some(word("up", text)?),
+                "preset" => parameters.preset = Some(word("preset", text)?),
+                // For whoever sends it.
+                _ => {}
+            }
+        }
+        Ok(parameters)
+    }
+
+    fn or(self, other: Self) -> Self {
+        Self {
+            name: self.name.or(other.name),
+            filename: self.filename.or(other.filename),
+            parse: self.parse.or(other.parse),
+            up: self.up.or(other.up),
+            preset: self.preset.or(other.preset),
+        }
+    }
+}
+
+fn word<T: DeserializeOwned>(key: &str, text: String) -> Result<T, Refused> {
+    serde_json::from_value(text.into()).map_err(|error| Refused::invalid(key, error.to_string()))
+}
+
+/// Begins an upload that comes in parts.
+///
+/// In the words of [tus 1.0](https://tus.io/protocols/resumable-upload), for its clients. `Location` is the upload; its bytes go there with
+/// `PATCH`, from the offset that `HEAD` tells. The first of them may come with this request, as `application/offset+octet-stream`. When all
+/// are there it becomes a scene, exactly as `POST /v1/scenes` makes one.
+#[utoipa::path(
+    post, path = "/v1/uploads", operation_id = "create_upload", tag = "uploads",
+    params(
+        UploadParameters,
+        ("Tus-Resumable" = inline(tus::Version), Header, description = "The version of tus"),
+        ("Upload-Length" = u64, Header, description = "Bytes of the whole"),
+        ("Upload-Metadata" = Option<String>, Header, description = "`filename`, `name`, `parse`, `up`, `preset`, their texts in base64"),
+        ("Upload-Checksum" = Option<String>, Header, description = "Of the bytes that come with it: `sha1` or `sha256`, a space, base64"),
+        ("Idempotency-Key" = Option<String>, Header, description = "Uploads under the same key become one scene"),
+    ),
+    responses(
+        (status = 201, body = Upload, headers(
+            ("Location" = String, description = "The upload"),
+            ("Upload-Offset" = u64, description = "Bytes that are there"),
+            ("Upload-Expires" = String, description = "When it is removed unless more of it comes"),
+        )),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
+        (status = 408, body = Problem, content_type = "application/problem+json"),
+        (status = 412, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+        (status = 460, body = Problem, content_type = "application/problem+json"),
+        (status = 507, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["write"]), ())
+)]
+pub async fn create(
+    State(app): State<App>,
+    Query(parameters): Query<UploadParameters>,
+    Extension(caller): Asking,
+    headers: HeaderMap,
+    request: Request,
+) -> Result<Response, Refused> {
+    let length = tus::bytes(&headers, &tus::LENGTH)?;
+    let tus::Metadata { header: note, pairs } = tus::metadata(&headers)?;
+    let UploadParameters { name, filename, parse, up, preset } = parameters.or(UploadParameters::of(pairs)?);
+    let idempotency_key = headers.get("idempotency-key").and_then(|key| key.to_str().ok()).map(str::to_owned);
+    let (parse, preset) = (parse.unwrap_or(true), preset.unwrap_or_default());
+    let wanted = WantedScene { name, file_name: filename, parse, up, preset, idempotency_key, note };
+    // Before there is an upload that nobody hears of.
+    let checksum = tus::checksum(&headers)?;
+    let upload = app.service.begin_upload(NewUpload { length, wanted }, &caller).await?;
+    let location = format!("/v1/uploads/{}", upload.id);
+    let mut response = match tus::is_part(&headers) {
+        true => {
+            let part = Part { offset: 0, announced_bytes: announced(&headers), checksum, body: request.into_body().into_data_stream() };
+            match app.service.append(&upload.id, part, caller).await {
+                Ok(upload) => came_of(StatusCode::CREATED, upload),
+                Err(error) => Refused::from(error).into_response(),
+            }
+        }
+        false => came_of(StatusCode::CREATED, upload),
+    };
+    response
+        .headers_mut()
+        .extend(HeaderValue::from_str(&location).ok().map(|location| (header::LOCATION, location)));
+    Ok(response)
+}
+
+/// Tells what of tus this server can do.
+#[utoipa::path(
+    options, path = "/v1/uploads", operation_id = "upload_capabilities", tag = "uploads",
+    responses(
+        (status = 204, description = "Versions, extensions and the largest upload, in headers", headers(
+            ("Tus-Version" = String, description = "Versions of tus"),
+            ("Tus-Extension" = String, description = "Its extensions that are known here"),
+            ("Tus-Max-Size" = u64, description = "Bytes of the largest upload"),
+            ("Tus-Checksum-Algorithm" = String, description = "Checksums that are known here"),
+        )),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["write"]), ())
+)]
+pub async fn capabilities(State(app): State<App>) -> Response {
+    tus::capabilities(app.service.max_upload_bytes())
+}
+
+/// An upload as it stands: how much of it is there, the scene it has become, or why there is none.
+#[utoipa::path(
+    get, path = "/v1/uploads/{upload_id}", operation_id = "get_upload", tag = "uploads", params(("upload_id" = String, Path)),
+    responses(
+        (status = 200, body = Upload),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 410, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["write"]), ())
+)]
+pub async fn get(State(app): State<App>, Path(upload_id): Path<String>, Extension(caller): Asking) -> Result<axum::Json<Upload>, Refused> {
+    Ok(axum::Json(app.service.upload(&upload_id, &caller).await?))
+}
+
+/// How much of an upload is there, in headers.
+#[utoipa::path(
+    head, path = "/v1/uploads/{upload_id}", operation_id = "get_upload_offset", tag = "uploads",
+    params(("upload_id" = String, Path), ("Tus-Resumable" = inline(tus::Version), Header, description = "The version of tus")),
+    responses(
+        (status = 200, description = "Where to go on", headers(
+            ("Upload-Offset" = u64, description = "Bytes that are there"),
+            ("Upload-Length" = u64, description = "Bytes of the whole"),
+            ("Upload-Metadata" = String, description = "As it came"),
+            ("Upload-Expires" = String, description = "When it is removed unless more of it comes"),
+            ("uniground-scene-id" = String, description = "The scene it has become"),
+            ("uniground-job-id" = String, description = "The job that parses the scene"),
+        )),
+        (status = 401, description = "No key, or one that is not known (any more)"),
+        (status = 403, description = "The key may not do this"),
+        (status = 404, description = "There is no such upload"),
+        (status = 410, description = "It was not gone on with for too long"),
+        (status = 412, description = "Another version of tus"),
+        (status = 429, description = "Too much at once: again after `Retry-After`"),
+    ),
+    security(("key" = ["write"]), ())
+)]
+pub async fn head(State(app): State<App>, Path(upload_id): Path<String>, Extension(caller): Asking) -> Result<Response, Refused> {
+    let upload = app.service.upload(&upload_id, &caller).await?;
+    let note = app.service.upload_note(&upload_id, &caller).await?;
+    let mut headers = tus::state(&upload);
+    headers.insert(tus::LENGTH, upload.length.into());
+    headers.extend(note.and_then(|note| HeaderValue::from_str(&note).ok()).map(|note| (tus::METADATA, note)));
+    Ok(headers.into_response())
+}
+
+/// Goes on with an upload, from the offset it is at.
+///
+/// With its last bytes it becomes a scene, which `uniground-scene-id` names; content that is no scan is refused with what is wrong with it.
+/// What came of a part that breaks off is kept; of one with a checksum, which can not be checked then, nothing.
+#[utoipa::path(
+    patch, path = "/v1/uploads/{upload_id}", operation_id = "append_to_upload", tag = "uploads",
+    params(
+        ("upload_id" = String, Path),
+        ("Tus-Resumable" = inline(tus::Version), Header, description = "The version of tus"),
+        ("Upload-Offset" = u64, Header, description = "Bytes that are there already"),
+        ("Upload-Checksum" = Option<String>, Header, description = "Of this part: `sha1` or `sha256`, a space, base64"),
+    ),
+    request_body(content = super::Binary, content_type = "application/offset+octet-stream"),
+    responses(
+        (status = 204, description = "It is on the disk", headers(
+            ("Upload-Offset" = u64, description = "Bytes that are there"),
+            ("Upload-Expires" = String, description = "When it is removed unless more of it comes"),
+            ("uniground-scene-id" = String, description = "The scene it has become"),
+            ("uniground-job-id" = String, description = "The job that parses the scene"),
+        )),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 408, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json", headers(
+            ("Upload-Offset" = u64, description = "Where to go on"),
+        )),
+        (status = 410, body = Problem, content_type = "application/problem+json"),
+        (status = 412, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 423, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+        (status = 460, body = Problem, content_type = "application/problem+json"),
+        (status = 507, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["write"]), ())
+)]
+pub async fn append(
+    State(app): State<App>,
+    Path(upload_id): Path<String>,
+    Extension(caller): Asking,
+    headers: HeaderMap,
+    request: Request,
+) -> Result<Response, Refused> {
+    take(&app, &upload_id, caller, &headers, request.into_body()).await
+}
+
+/// The same as `PATCH` or `DELETE`, for those whose network lets neither through: `X-HTTP-Method-Override` says which.
+#[utoipa::path(
+    post, path = "/v1/uploads/{upload_id}", operation_id = "append_to_upload_by_post", tag = "uploads",
+    params(
+        ("upload_id" = String, Path),
+        ("Tus-Resumable" = inline(tus::Version), Header, description = "The version of tus"),
+        ("X-HTTP-Method-Override" = String, Header, description = "`PATCH` or `DELETE`"),
+        ("Upload-Offset" = Option<u64>, Header, description = "Bytes that are there already"),
+        ("Upload-Checksum" = Option<String>, Header, description = "Of this part: `sha1` or `sha256`, a space, base64"),
+    ),
+    request_body(content = super::Binary, content_type = "application/offset+octet-stream"),
+    responses(
+        (status = 204, description = "As that method answers"),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 408, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 410, body = Problem, content_type = "application/problem+json"),
+        (status = 412, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 423, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+        (status = 460, body = Problem, content_type = "application/problem+json"),
+        (status = 507, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["write"]), ())
+)]
+pub async fn post(
+    State(app): State<App>,
+    Path(upload_id): Path<String>,
+    Extension(caller): Asking,
+    headers: HeaderMap,
+    request: Request,
+) -> Result<Response, Refused> {
+    match headers.get(tus::METHOD_OVERRIDE).map(HeaderValue::as_bytes) {
+        Some(b"PATCH") => take(&app, &upload_id, caller, &headers, request.into_body()).await,
+        Some(b"DELETE") => {
+            app.service.delete_upload(&upload_id, &caller).await?;
+            Ok(StatusCode::NO_CONTENT.into_response())
+        }
+        _ => Err(Refused::new(StatusCode::BAD_REQUEST, "header_wrong", "x-http-method-override: PATCH or DELETE is wanted")),
+    }
+}
+
+/// Gives an upload up, or forgets one that is over; its scene stays.
+#[utoipa::path(
+    delete, path = "/v1/uploads/{upload_id}", operation_id = "delete_upload", tag = "uploads",
+    params(("upload_id" = String, Path), ("Tus-Resumable" = inline(tus::Version), Header, description = "The version of tus")),
+    responses(
+        (status = 204, description = "Gone"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 403, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 410, body = Problem, content_type = "application/problem+json"),
+        (status = 412, body = Problem, content_type = "application/problem+json"),
+        (status = 423, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["write"]), ())
+)]
+pub async fn delete(State(app): State<App>, Path(upload_id): Path<String>, Extension(caller): Asking) -> Result<StatusCode, Refused> {
+    app.service.delete_upload(&upload_id, &caller).await?;
+    Ok(StatusCode::NO_CONTENT)
+}
+
+async fn take(app: &App, upload_id: &str, caller: Caller, headers: &HeaderMap, body: Body) -> Result<Response, Refused> {
+    tus::check_part(headers)?;
+    let (offset, checksum) = (tus::bytes(headers, &tus::OFFSET)?, tus::checksum(headers)?);
+    let part = Part { offset, announced_bytes: announced(headers), checksum, body: body.into_data_stream() };
+    match app.service.append(upload_id, part, caller).await {
+        Ok(upload) => Ok(came_of(StatusCode::NO_CONTENT, upload)),
+        Err(crate::error::Error::WrongOffset { offset }) => {
+            let refused = Refused::from(crate::error::Error::WrongOffset { offset });
+            Ok(([(tus::OFFSET, offset.to_string())], refused).into_response())
+        }
+        Err(error) => Err(error.into()),
+    }
+}
+
+/// How far an upload is; why there is no scene, where it was refused.
+fn came_of(status: StatusCode, upload: Upload) -> Response {
+    let headers = tus::state(&upload);
+    match (&upload.problem, status) {
+        (Some(problem), _) => (headers, Refused::from(problem.clone())).into_response(),
+        (None, StatusCode::CREATED) => (status, headers, axum::Json(upload)).into_response(),
+        (None, status) => (status, headers).into_response(),
+    }
+}
+
+fn announced(headers: &HeaderMap) -> u64 {
+    headers.get(header::CONTENT_LENGTH).and_then(|bytes| bytes.to_str().ok()?.parse().ok()).unwrap_or(0)
+}

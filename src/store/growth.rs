@@ -1,0 +1,191 @@
+//! Scenes that grow: another content for the same scene, and what changed in it.
+
+use super::scenes::{add_job, made_by_key};
+use super::writer::Transaction;
+use super::{JobRow, NewJob, SceneRow, Store, StoreError, now};
+use camino::Utf8PathBuf;
+use uniground_types::changes::Changes;
+use uniground_types::corrections::Correction;
+
+/// A scene about to grow. Its new content's blob is in place.
+pub struct Growth<'a> {
+    pub scene_id: &'a str,
+    /// What it is made of so far: who was faster has made it another.
+    pub from_content: &'a str,
+    pub content_hash: &'a str,
+    pub content_bytes: u64,
+    /// An idempotency key, and what identifies the request that came with it.
+    pub key: Option<(&'a str, &'a str)>,
+    pub job: NewJob<'a>,
+}
+
+/// What came of it.
+pub enum Grew {
+    Now(SceneRow, Box<JobRow>),
+    /// The scene is gone, or has another content by now.
+    Overtaken,
+    /// The same key asked for the same before.
+    Before(SceneRow),
+    /// The key was used for another request.
+    KeyReused,
+}
+
+/// What a parse takes over from the one before it.
+pub struct Continued<'a> {
+    pub scene_id: &'a str,
+    pub from_parse: &'a str,
+    pub changes: &'a Changes,
+    /// What people have said, as far as what it is about is still there.
+    pub corrections: &'a [Correction],
+}
+
+impl Store {
+    /// Gives a scene another content and the job that parses it, as one.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn grow_scene(&self, growth: Growth<'_>) -> Result<Grew, StoreError> {
+        let Growth { scene_id, from_content, content_hash, content_bytes, key, job } = growth;
+        let time = now();
+        let mut tx = self.writer.begin().await?;
+        if let Some((key, request)) = key
+            && let Some((scene, before)) = made_by_key(&mut tx, key).await?
+        {
+            tx.forget().await?;
+            return Ok(if before.is_some_and(|before| before == request) { Grew::Before(scene) } else { Grew::KeyReused });
+        }
+        sqlx::query("INSERT INTO contents (hash, bytes, created_at, grown_from) VALUES (?, ?, ?, ?) ON CONFLICT DO NOTHING")
+            .bind(content_hash)
+            .bind(i64::try_from(content_bytes).unwrap_or(i64::MAX))
+            .bind(&time)
+            .bind(from_content)
+            .execute(&mut *tx)
+            .await?;
+        let grown = sqlx::query("UPDATE scenes SET content_hash = ?1, updated_at = ?2 WHERE id = ?3 AND content_hash = ?4")
+            .bind(content_hash)
+            .bind(&time)
+            .bind(scene_id)
+            .bind(from_content)
+            .execute(&mut *tx)
+            .await?;
+        if grown.rows_affected() == 0 {
+            tx.forget().await?;
+            return Ok(Grew::Overtaken);
+        }
+        if let Some((key, request)) = key {
+            let sql = "INSERT INTO idempotency_keys (key, scene_id, created_at, request) VALUES (?, ?, ?, ?)";
+            sqlx::query(sql).bind(key).bind(scene_id).bind(&time).bind(request).execute(&mut *tx).await?;
+        }
+        let job = add_job(&mut tx, scene_id, &self.new_id(), job).await?;
+        let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = ?").bind(scene_id).fetch_one(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(Grew::Now(scene, Box::new(job)))
+    }
+
+    /// What changed from one version of a scene to the next, for the versions after `since`, in order.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn scene_changes(&self, scene_id: &str, since: u32) -> Result<Vec<(u32, Changes)>, StoreError> {
+        let sql = "SELECT version, body FROM scene_changes WHERE scene_id = ? AND version > ? ORDER BY version";
+        let rows: Vec<(u32, String)> = sqlx::query_as(sql).bind(scene_id).bind(since).fetch_all(&self.reader).await?;
+        rows.into_iter().map(|(version, body)| Ok((version, serde_json::from_str(&body)?))).collect()
+    }
+
+    /// Contents that a scene has outgrown: neither a scene nor a parse is of them any more.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn outgrown_contents(&self, limit: u32) -> Result<Vec<String>, StoreError> {
+        let sql = format!("SELECT hash FROM contents WHERE {OUTGROWN} LIMIT ?");
+        Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(limit).fetch_all(&self.reader).await?)
+    }
+
+    /// Removes the row of a content if it is outgrown; its folders, for the caller to remove.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn remove_outgrown(&self, hash: &str) -> Result<Vec<Utf8PathBuf>, StoreError> {
+        let mut tx = self.writer.begin().await?;
+        // What has grown from it has then grown from what it had grown from.
+        let bridge = format!(
+            "UPDATE contents SET grown_from = (SELECT grown_from FROM contents WHERE hash = ?1)
+             WHERE grown_from = ?1 AND EXISTS (SELECT 1 FROM contents WHERE hash = ?1 AND {OUTGROWN})"
+        );
+        sqlx::query(sqlx::AssertSqlSafe(bridge)).bind(hash).execute(&mut *tx).await?;
+        let sql = format!("DELETE FROM contents WHERE hash = ? AND {OUTGROWN}");
+        let removed = sqlx::query(sqlx::AssertSqlSafe(sql)).bind(hash).execute(&mut *tx).await?.rows_affected();
+        tx.commit().await?;
+        Ok(if removed > 0 { vec![self.blobs.content(hash), self.blobs.checkpoints(hash)] } else { Vec::new() })
+    }
+
+    /// Removes the rows of a content that no scene has any more, those of what it has grown from, and their parses; the folders of all of them.
+    pub(super) async fn remove_content(&self, tx: &mut Transaction, content: String) -> Result<Vec<Utf8PathBuf>, StoreError> {
+        let mut folders = Vec::new();
+        let mut next = Some(content);
+        while let Some(hash) = next {
+            let sql =
+                "SELECT (SELECT count(*) FROM scenes WHERE content_hash = ?1) + (SELECT count(*) FROM contents WHERE grown_from = ?1)";
+            let shared: i64 = sqlx::query_scalar(sql).bind(&hash).fetch_one(&mut **tx).await?;
+            if shared > 0 {
+                break;
+            }
+            let parses: Vec<String> = sqlx::query_scalar("DELETE FROM parses WHERE content_hash = ? RETURNING id")
+                .bind(&hash)
+                .fetch_all(&mut **tx)
+                .await?;
+            let grown_from: Option<Option<String>> = sqlx::query_scalar("DELETE FROM contents WHERE hash = ? RETURNING grown_from")
+                .bind(&hash)
+                .fetch_optional(&mut **tx)
+                .await?;
+            folders.extend([self.blobs.content(&hash), self.blobs.checkpoints(&hash)]);
+            folders.extend(parses.iter().map(|parse| self.blobs.parse(parse)));
+            next = grown_from.flatten();
+        }
+        Ok(folders)
+    }
+
+    /// Notes what a parse takes over.
+    pub(super) async fn continue_parse(&self, tx: &mut Transaction, parse_id: &str, continued: &Continued<'_>) -> Result<(), StoreError> {
+        let Continued { scene_id, from_parse, changes, corrections } = continued;
+        let sql = "INSERT INTO scene_changes (scene_id, parse_id, from_parse, body, created_at) SELECT ?1, ?2, ?3, ?4, ?5
+                   WHERE EXISTS (SELECT 1 FROM scenes WHERE id = ?1)";
+        sqlx::query(sql)
+            .bind(scene_id)
+            .bind(parse_id)
+            .bind(from_parse)
+            .bind(serde_json::to_string(changes)?)
+            .bind(now())
+            .execute(&mut **tx)
+            .await?;
+        for correction in *corrections {
+            sqlx::query("INSERT INTO corrections (id, parse_id, change, made, author, created_at) VALUES (?, ?, ?, ?, ?, ?)")
+                .bind(self.new_id())
+                .bind(parse_id)
+                .bind(serde_json::to_string(&correction.change)?)
+                .bind(correction.made.map(|id| id.0))
+                .bind(&correction.author)
+                .bind(&correction.created_at)
+                .execute(&mut **tx)
+                .await?;
+        }
+        // What a model called things that are still there.
+        let sql = "INSERT OR IGNORE INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
+                   SELECT ?1, model, prompt_version, instance_id, name, created_at FROM instance_names AS known
+                   WHERE parse_id = ?2 AND EXISTS (SELECT 1 FROM instances WHERE parse_id = ?1 AND id = known.instance_id
+                                                   AND json_extract(body, '$.gone') IS NULL)";
+        sqlx::query(sql).bind(parse_id).bind(from_parse).execute(&mut **tx).await?;
+        Ok(())
+    }
+}
+
+const OUTGROWN: &str = "NOT EXISTS (SELECT 1 FROM scenes WHERE content_hash = contents.hash)
+                        AND NOT EXISTS (SELECT 1 FROM parses WHERE content_hash = contents.hash)";
+
+/// Gives the changes that led to a scene's new version their number, where they began with the parse it had.
+pub(super) async fn number_changes(tx: &mut Transaction, scene_id: &str, parse_id: &str, from_parse: &str) -> Result<(), StoreError> {
+    let sql = "UPDATE scene_changes SET version = (SELECT parse_version FROM scenes WHERE id = ?1)
+               WHERE scene_id = ?1 AND parse_id = ?2 AND from_parse = ?3 AND version IS NULL";
+    sqlx::query(sql).bind(scene_id).bind(parse_id).bind(from_parse).execute(&mut **tx).await?;
+    Ok(())
+}

@@ -1,0 +1,178 @@
+//! Uploads that come in parts: what was said of them, how much is there, what came of them.
+
+use super::records::read_or_none;
+use super::{Store, StoreError, now};
+use serde::{Deserialize, Serialize};
+use sqlx::sqlite::SqliteRow;
+use sqlx::{FromRow, Row};
+use std::collections::HashSet;
+use std::fs;
+use std::io;
+use uniground_types::geometry::up_axis::UpAxis;
+use uniground_types::problem::Problem;
+use uniground_types::settings::ParsePreset;
+
+/// What is to be made of an upload.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default)]
+pub struct WantedScene {
+    pub name: Option<String>,
+    pub file_name: Option<String>,
+    /// Only stored, where not.
+    pub parse: bool,
+    pub up: Option<UpAxis>,
+    pub preset: ParsePreset,
+    pub idempotency_key: Option<String>,
+    /// For whoever sends it, handed back as it came.
+    pub note: Option<String>,
+}
+
+/// An upload as stored.
+#[derive(Debug, Clone, PartialEq)]
+pub struct UploadRow {
+    pub id: String,
+    pub key_id: Option<String>,
+    pub wanted: WantedScene,
+    /// Bytes it will have.
+    pub length: u64,
+    /// Bytes that are on the disk.
+    pub received: u64,
+    pub came_of: Option<CameOf>,
+    pub created_at: String,
+    pub updated_at: String,
+}
+
+/// What came of an upload.
+#[derive(Debug, Clone, PartialEq)]
+pub enum CameOf {
+    Scene {
+        scene_id: String,
+        job_id: Option<String>,
+    },
+    /// Why there is none; nothing where that is of a version that can not be read.
+    Nothing(Option<Problem>),
+}
+
+/// Uploads that have not come to an end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Unfinished {
+    pub uploads: u32,
+    /// Of these, one key's.
+    pub of_key: u32,
+    /// Bytes that are still to come.
+    pub announced_bytes: u64,
+}
+
+const OPEN: &str = "scene_id IS NULL AND problem IS NULL";
+
+impl FromRow<'_, SqliteRow> for UploadRow {
+    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+        let bytes = |column| row.try_get::<i64, _>(column).map(|bytes| u64::try_from(bytes).unwrap_or(0));
+        let job_id = row.try_get("job_id")?;
+        let scene = row.try_get::<Option<String>, _>("scene_id")?.map(|scene_id| CameOf::Scene { scene_id, job_id });
+        let problem = row.try_get::<Option<String>, _>("problem")?;
+        let problem = problem.map(|text| CameOf::Nothing(read_or_none("problem of an upload", &text)));
+        Ok(Self {
+            id: row.try_get("id")?,
+            key_id: row.try_get("key_id")?,
+            wanted: read_or_none("wanted scene", row.try_get("wanted")?).unwrap_or_default(),
+            length: bytes("length")?,
+            received: bytes("received")?,
+            came_of: scene.or(problem),
+            created_at: row.try_get("created_at")?,
+            updated_at: row.try_get("updated_at")?,
+        })
+    }
+}
+
+impl Store {
+    /// Begins an upload of so many bytes.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn insert_upload(&self, wanted: &WantedScene, length: u64, key_id: Option<&str>) -> Result<UploadRow, StoreError> {
+        let sql = "INSERT INTO uploads (id, key_id, wanted, length, created_at, updated_at) VALUES (?1, ?2, ?3, ?4, ?5, ?5) RETURNING *";
+        let query = sqlx::query_as(sql)
+            .bind(self.new_id())
+            .bind(key_id)
+            .bind(serde_json::to_string(wanted)?)
+            .bind(i64::try_from(length).unwrap_or(i64::MAX))
+            .bind(now());
+        Ok(query.fetch_one(self.writer.pool()).await?)
+    }
+
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn upload(&self, id: &str) -> Result<Option<UploadRow>, StoreError> {
+        Ok(sqlx::query_as("SELECT * FROM uploads WHERE id = ?").bind(id).fetch_optional(&self.reader).await?)
+    }
+
+    /// Notes how much of an upload is on the disk; `None` where it is gone.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn note_received(&self, id: &str, received: u64) -> Result<Option<UploadRow>, StoreError> {
+        let sql = "UPDATE uploads SET received = ?, updated_at = ? WHERE id = ? RETURNING *";
+        let query = sqlx::query_as(sql).bind(i64::try_from(received).unwrap_or(i64::MAX)).bind(now()).bind(id);
+        Ok(query.fetch_optional(self.writer.pool()).await?)
+    }
+
+    /// Notes what came of an upload; `None` where it is gone.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn end_upload(&self, id: &str, came_of: &CameOf) -> Result<Option<UploadRow>, StoreError> {
+        let (scene_id, job_id, problem) = match came_of {
+            CameOf::Scene { scene_id, job_id } => (Some(scene_id), job_id.as_ref(), None),
+            CameOf::Nothing(why) => (None, None, Some(serde_json::to_string(why)?)),
+        };
+        let sql = "UPDATE uploads SET scene_id = ?, job_id = ?, problem = ?, updated_at = ? WHERE id = ? RETURNING *";
+        let query = sqlx::query_as(sql).bind(scene_id).bind(job_id).bind(problem).bind(now()).bind(id);
+        Ok(query.fetch_optional(self.writer.pool()).await?)
+    }
+
+    /// Whether there was one.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn delete_upload(&self, id: &str) -> Result<bool, StoreError> {
+        let deleted = sqlx::query("DELETE FROM uploads WHERE id = ?").bind(id).execute(self.writer.pool()).await?;
+        Ok(deleted.rows_affected() > 0)
+    }
+
+    /// Uploads that have not come to an end, of those that were gone on with since a time.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn unfinished_uploads(&self, since: &str, key_id: Option<&str>) -> Result<Unfinished, StoreError> {
+        let sql = format!(
+            "SELECT count(*), coalesce(sum(key_id IS ?2), 0), coalesce(sum(length - received), 0) FROM uploads
+             WHERE {OPEN} AND updated_at >= ?1"
+        );
+        let (uploads, of_key, announced): (u32, u32, i64) =
+            sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(since).bind(key_id).fetch_one(&self.reader).await?;
+        Ok(Unfinished { uploads, of_key, announced_bytes: u64::try_from(announced).unwrap_or(0) })
+    }
+
+    /// Uploads that are all there and of which nothing was made yet.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn unmade_uploads(&self) -> Result<Vec<String>, StoreError> {
+        let sql = format!("SELECT id FROM uploads WHERE {OPEN} AND received = length ORDER BY id");
+        Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.reader).await?)
+    }
+
+    /// Removes files of uploads that are over or that nobody knows: whoever sent one whose record was lost has it still.
+    pub(super) async fn remove_stray_uploads(&self) -> Result<(), StoreError> {
+        let sql = format!("SELECT id FROM uploads WHERE {OPEN}");
+        let open: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.reader).await?;
+        let open: HashSet<String> = open.into_iter().collect();
+        let blobs = self.blobs.clone();
+        let removed = tokio::task::spawn_blocking(move || {
+            let mut strays = blobs.all_uploads()?.into_iter().filter(|name| !open.contains(name));
+            strays.try_for_each(|name| fs::remove_file(blobs.upload(&name)))
+        });
+        Ok(removed.await.map_err(io::Error::other)??)
+    }
+}

@@ -1,0 +1,311 @@
+//! Scenes that grow: frames added, ids that stay, what came, went and moved.
+
+use crate::archives::{EIGHTHS, Scan, THINGS, Thing};
+use crate::server::{TestServer, ask, finished, problem};
+use reqwest::Method;
+use std::collections::BTreeMap;
+use std::time::Duration;
+use uniground_client::Client;
+use uniground_core::grounding::Status;
+use uniground_types::changes::{ChangedThing, Changes};
+use uniground_types::corrections::Change;
+use uniground_types::instances::{InstanceView, Levels};
+use uniground_types::job::JobState;
+use uniground_types::placement::{FrameChoice, SceneToMap};
+use uniground_types::scenes::{Scene, SceneChange};
+
+/// Between the eight places of the first look: things are seen from all sides.
+const BETWEEN: [f32; 8] = [0.04, 0.165, 0.29, 0.415, 0.54, 0.665, 0.79, 0.915];
+/// A yellow box that was not there, where nothing stood.
+const YELLOW: Thing = ([-0.2, -1.3, 0.0], [0.2, -1.0, 0.5], [210, 190, 30]);
+/// The blue box, elsewhere.
+const MOVED: Thing = ([-1.6, -0.3, 0.0], [-1.1, 0.1, 0.4], [30, 60, 190]);
+const FLOOR: Thing = THINGS[0];
+const SOFA: Thing = THINGS[1];
+const BLUE: Thing = THINGS[2];
+const GREEN: Thing = THINGS[3];
+
+async fn grown(client: &Client, scene: &str, frames: &Scan) -> Scene {
+    let created = client.add_frames(scene, FrameChoice::Source, frames.zip()).await.unwrap();
+    let job = finished(client, &created.job.unwrap().id).await;
+    assert_eq!(job.error, None, "{job:?}");
+    client.scene(scene).await.unwrap()
+}
+
+async fn things(client: &Client, scene: &str) -> Vec<InstanceView> {
+    client.all_instances(scene, Levels::Things).await.unwrap()
+}
+
+/// The thing whose box's middle is that of one of the room.
+fn at<'a>(instances: &'a [InstanceView], thing: &Thing) -> &'a InstanceView {
+    let off = |instance: &InstanceView| {
+        (0..3)
+            .map(|i| (instance.aabb.center[i] - f32::midpoint(thing.0[i], thing.1[i])).powi(2))
+            .sum::<f32>()
+            .sqrt()
+    };
+    let near: Vec<&InstanceView> = instances.iter().filter(|instance| off(instance) < 0.15).collect();
+    assert_eq!(near.len(), 1, "{thing:?}: {near:?}");
+    near[0]
+}
+
+fn boxes_of(changes: &[ChangedThing]) -> Vec<[f32; 3]> {
+    changes.iter().map(|thing| thing.aabb.center.coords.into()).collect()
+}
+
+/// Of the floor there may be more to see.
+fn nothing_happened(changes: &Changes) -> bool {
+    let seen = changes.first_seen.iter().all(|thing| thing.aabb.size.z < 0.1);
+    seen && Changes { first_seen: Vec::new(), ..changes.clone() }.is_empty()
+}
+
+fn near(center: [f32; 3], thing: &Thing) -> bool {
+    (0..3).all(|i| (center[i] - f32::midpoint(thing.0[i], thing.1[i])).abs() < 0.12)
+}
+
+#[tokio::test]
+async fn what_stays_keeps_its_id_and_what_came_went_and_moved_is_told() {
+    let server = TestServer::start().await;
+    let client = &server.client;
+    let scene = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let before = things(client, &scene.id).await;
+    let (sofa, blue, green) = (at(&before, &SOFA).clone(), at(&before, &BLUE).clone(), at(&before, &GREEN).clone());
+    let renamed = Change::Rename { instance_id: sofa.id, name: "old settee".into() };
+    client.correct(&scene.id, &renamed).await.unwrap();
+
+    // The blue box is elsewhere, the green one gone, a yellow one there.
+    let now = [FLOOR, SOFA, MOVED, YELLOW];
+    let later = grown(client, &scene.id, &Scan::of_room(&now, &BETWEEN)).await;
+    assert_eq!((later.parse_version, later.import.as_ref().unwrap().frames), (2, 16));
+    let after = things(client, &scene.id).await;
+    let same = at(&after, &SOFA);
+    assert_eq!((same.id, same.given_name.as_deref()), (sofa.id, Some("old settee")), "what stays keeps its id and its name");
+    assert!((same.aabb.size - sofa.aabb.size).norm() < 0.05, "{same:?}");
+    let yellow = at(&after, &YELLOW);
+    let moved = at(&after, &MOVED);
+    let last = before.iter().map(|thing| thing.id.0).max().unwrap();
+    assert!(yellow.id.0 > last && moved.id.0 > last, "no id is given twice: {} and {} after {last}", yellow.id, moved.id);
+
+    let told = client.changes_since(&scene.id, 1).await.unwrap();
+    assert_eq!((told.from.version, told.to.version, told.alignment), (1, 2, None));
+    let Changes { appeared, gone, moved: elsewhere, regrouped, first_seen, not_seen, unchanged } = told.changes;
+    assert_eq!(appeared.iter().map(|thing| thing.id).collect::<Vec<_>>(), [yellow.id]);
+    assert_eq!(gone.iter().map(|thing| thing.id).collect::<Vec<_>>(), [green.id]);
+    assert_eq!(elsewhere.iter().map(|moved| (moved.before.id, moved.after.id)).collect::<Vec<_>>(), [(blue.id, moved.id)]);
+    assert!((elsewhere[0].distance_m - (moved.aabb.center - blue.aabb.center).norm()).abs() < 1e-3);
+    assert!(regrouped.is_empty() && not_seen.is_empty(), "{regrouped:?} {not_seen:?}");
+    // Of the floor there may be more to see.
+    assert!(first_seen.iter().all(|thing| thing.aabb.size.z < 0.1), "{first_seen:?}");
+    assert!(unchanged >= 1, "the sofa");
+
+    // What is gone is told of by its id, and is no answer.
+    let gone: InstanceView = client
+        .all_instances(&scene.id, Levels::All)
+        .await
+        .unwrap()
+        .into_iter()
+        .find(|thing| thing.id == green.id)
+        .unwrap();
+    assert!(gone.gone && gone.dismissed, "{gone:?}");
+    let answer = client.ground(&scene.id, &ask("the green trash can")).await.unwrap();
+    assert_ne!(answer.answer.predicted_id, Some(green.id));
+    let answer = client.ground(&scene.id, &ask("the old settee")).await.unwrap();
+    assert_eq!((answer.status, answer.answer.predicted_id), (Status::Grounded, Some(sofa.id)));
+    for file in ["cloud.ply", "instances.ply", "points.bin", "thumbnail.jpg"] {
+        assert!(!client.bytes(&format!("v1/scenes/{}/{file}", scene.id)).await.unwrap().is_empty(), "{file}");
+    }
+    let picture = format!("v1/scenes/{}/instances/{}/views/0.jpg", scene.id, yellow.id);
+    assert!(image::load_from_memory(&client.bytes(&picture).await.unwrap()).is_ok());
+    server.stop().await;
+}
+
+/// A robot does not wait for people, nor they for it.
+#[tokio::test]
+async fn what_is_corrected_while_a_scene_grows_is_kept() {
+    let server = TestServer::start().await;
+    let client = &server.client;
+    let scene = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let sofa = at(&things(client, &scene.id).await, &SOFA).id;
+    let frames = Scan::of_room(&THINGS, &BETWEEN);
+    let created = client.add_frames(&scene.id, FrameChoice::Source, frames.zip()).await.unwrap();
+    let job = created.job.unwrap().id;
+    // At once, and while it is at it.
+    for name in ["settee", "old settee"] {
+        client.correct(&scene.id, &Change::Rename { instance_id: sofa, name: name.into() }).await.unwrap();
+        while client.job(&job).await.unwrap().state == JobState::Queued {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
+    assert_eq!(finished(client, &job).await.error, None);
+    let after = things(client, &scene.id).await;
+    assert_eq!(client.scene(&scene.id).await.unwrap().parse_version, 2);
+    assert_eq!((at(&after, &SOFA).id, at(&after, &SOFA).given_name.as_deref()), (sofa, Some("old settee")));
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn a_scene_grows_again_and_again_and_nothing_happens_twice() {
+    let server = TestServer::start().await;
+    let client = &server.client;
+    let scene = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let before = things(client, &scene.id).await;
+    // The same room: nothing is different.
+    let same = Scan::of_room(&THINGS, &BETWEEN);
+    grown(client, &scene.id, &same).await;
+    let told = client.changes_since(&scene.id, 1).await.unwrap();
+    assert!(nothing_happened(&told.changes), "{told:?}");
+    let again = things(client, &scene.id).await;
+    for thing in [&SOFA, &BLUE, &GREEN] {
+        assert_eq!(at(&again, thing).id, at(&before, thing).id);
+    }
+
+    // A yellow box comes and goes again.
+    let came = grown(client, &scene.id, &Scan::of_room(&[FLOOR, SOFA, BLUE, GREEN, YELLOW], &BETWEEN)).await;
+    assert_eq!(came.parse_version, 3);
+    let told = client.changes_since(&scene.id, 1).await.unwrap();
+    assert!(told.changes.appeared.len() == 1 && near(boxes_of(&told.changes.appeared)[0], &YELLOW), "{told:?}");
+    let went = grown(client, &scene.id, &same).await;
+    assert_eq!((went.parse_version, went.import.unwrap().frames), (4, 32));
+    assert!(nothing_happened(&client.changes_since(&scene.id, 1).await.unwrap().changes));
+    let told = client.changes_since(&scene.id, 3).await.unwrap();
+    assert!(told.changes.gone.len() == 1 && near(boxes_of(&told.changes.gone)[0], &YELLOW), "{told:?}");
+    assert!(client.changes_since(&scene.id, 4).await.unwrap().changes.is_empty());
+    for since in [0, 5] {
+        assert_eq!(problem(client.changes_since(&scene.id, since).await).code, "no_version", "{since}");
+    }
+
+    // Parsed anew from all it is made of: the same things under the same ids.
+    let job = client
+        .parse(&scene.id, &serde_json::json!({"settings": {"parsing": {"merging": {"min_points": 31}}}}))
+        .await
+        .unwrap();
+    assert_eq!(finished(client, &job.id).await.error, None);
+    let again = things(client, &scene.id).await;
+    for thing in [&SOFA, &BLUE, &GREEN] {
+        assert_eq!(at(&again, thing).id, at(&before, thing).id);
+    }
+    assert!(client.changes_since(&scene.id, 1).await.is_ok());
+
+    // Gone with the scene is all it was made of.
+    client.delete_scene(&scene.id).await.unwrap();
+    for folder in ["blobs/contents", "blobs/parses", "blobs/checkpoints"] {
+        assert_eq!(server.stored(folder), Vec::<String>::new(), "{folder}");
+    }
+    server.stop().await;
+}
+
+#[tokio::test]
+async fn frames_of_another_place_or_none_are_refused_and_nothing_changes() {
+    let server = TestServer::start().await;
+    let client = &server.client;
+    let scene = server.parsed(Scan::frames_only().zip()).await;
+    let content = server.stored("blobs/contents");
+    // The same pictures, a metre higher and turned upside down.
+    let mut elsewhere = Scan::of_room(&THINGS, &[0.1, 0.5]);
+    for i in 0..2 {
+        let text = String::from_utf8(elsewhere.0[&format!("pose/{i}.txt")].clone()).unwrap();
+        let rows: Vec<Vec<f32>> = text.lines().map(|row| row.split(' ').map(|v| v.parse().unwrap()).collect()).collect();
+        let line = |row: &[f32], by: f32, plus: f32| format!("{} {} {} {}\n", by * row[0], by * row[1], by * row[2], by * row[3] + plus);
+        let turned = format!("{}{}{}0 0 0 1\n", line(&rows[0], 1.0, 0.0), line(&rows[1], -1.0, 0.0), line(&rows[2], -1.0, 4.0));
+        elsewhere.0.insert(format!("pose/{i}.txt"), turned.into_bytes());
+    }
+    for (frames, code) in [
+        (elsewhere.zip(), "frames_do_not_fit"),
+        (Scan::cloud_only().zip(), "no_usable_frames"),
+        (Scan::frames_only().without("intrinsic.txt").zip(), "intrinsics_missing"),
+        (b"no archive".to_vec(), "archive_unreadable"),
+    ] {
+        let refused = problem(client.add_frames(&scene.id, FrameChoice::Source, frames).await);
+        assert_eq!((refused.code.as_str(), refused.status), (code, 422), "{refused:?}");
+    }
+    let refused = problem(client.add_frames(&scene.id, FrameChoice::Map, Scan::frames_only().zip()).await);
+    assert_eq!(refused.code, "no_map");
+    let refused = problem(client.add_frames("nobody", FrameChoice::Source, Scan::frames_only().zip()).await);
+    assert_eq!(refused.code, "scene_not_found");
+    assert_eq!(server.stored("blobs/contents"), content, "nothing is stored");
+    assert_eq!(client.scene(&scene.id).await.unwrap(), scene);
+    assert_eq!(server.stored("tmp"), Vec::<String>::new());
+    server.stop().await;
+}
+
+/// A robot tells poses in its map, and sends the same again when it did not hear the answer.
+#[tokio::test]
+async fn frames_told_in_the_map_lie_where_they_should_and_a_key_adds_them_once() {
+    let server = TestServer::start().await;
+    let client = &server.client;
+    let scene = server.parsed(Scan::frames_only().zip()).await;
+    // A quarter turn and a shift: the map's x is the scene's -y.
+    let s = std::f64::consts::FRAC_1_SQRT_2;
+    let to_map = SceneToMap { rotation: [0.0, 0.0, s, s], translation_m: [10.0, 20.0, 0.5] };
+    let change = SceneChange { scene_to_map: Some(Some(to_map)), ..SceneChange::default() };
+    client.change_scene(&scene.id, &change).await.unwrap();
+    let mut frames = Scan::of_room(&[FLOOR, SOFA, BLUE, GREEN, YELLOW], &[0.1, 0.4, 0.7]);
+    for i in 0..3 {
+        let text = String::from_utf8(frames.0[&format!("pose/{i}.txt")].clone()).unwrap();
+        let rows: Vec<Vec<f32>> = text.lines().map(|row| row.split(' ').map(|v| v.parse().unwrap()).collect()).collect();
+        let line = |row: &[f32], by: f32, plus: f32| format!("{} {} {} {}\n", by * row[0], by * row[1], by * row[2], by * row[3] + plus);
+        let in_map = format!("{}{}{}0 0 0 1\n", line(&rows[1], -1.0, 10.0), line(&rows[0], 1.0, 20.0), line(&rows[2], 1.0, 0.5));
+        frames.0.insert(format!("pose/{i}.txt"), in_map.into_bytes());
+    }
+    let send = || async {
+        let request = client.request(Method::POST, &format!("v1/scenes/{}/frames?world=map", scene.id));
+        let response = request.header("idempotency-key", "look-7").body(frames.zip()).send().await.unwrap();
+        assert_eq!(response.status(), 202);
+        response.json::<BTreeMap<String, serde_json::Value>>().await.unwrap()
+    };
+    let first = send().await;
+    finished(client, first["job"]["id"].as_str().unwrap()).await;
+    let again = send().await;
+    assert_eq!(again["job"]["id"], first["job"]["id"]);
+    let after = client.scene(&scene.id).await.unwrap();
+    assert_eq!((after.parse_version, after.import.unwrap().frames), (2, 11));
+    let told = client.changes_since(&scene.id, 1).await.unwrap();
+    assert!(told.changes.appeared.len() == 1 && near(boxes_of(&told.changes.appeared)[0], &YELLOW), "{told:?}");
+    let other = client
+        .request(Method::POST, &format!("v1/scenes/{}/frames", scene.id))
+        .header("idempotency-key", "look-7")
+        .body(Scan::frames_only().zip());
+    assert_eq!(other.send().await.unwrap().status(), 422);
+    server.stop().await;
+}
+
+/// Two scans of one room, the second from another origin.
+#[tokio::test]
+async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
+    let server = TestServer::start().await;
+    let client = &server.client;
+    let first = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let mut second = Scan::of_room(&[FLOOR, SOFA, MOVED, YELLOW], &EIGHTHS);
+    let (sin, cos) = 0.05_f32.sin_cos();
+    for i in 0..8 {
+        let text = String::from_utf8(second.0[&format!("pose/{i}.txt")].clone()).unwrap();
+        let rows: Vec<Vec<f32>> = text.lines().map(|row| row.split(' ').map(|v| v.parse().unwrap()).collect()).collect();
+        let line = |x: f32, y: f32, z: f32, plus: f32| {
+            let at = |column: usize| x * rows[0][column] + y * rows[1][column] + z * rows[2][column];
+            format!("{} {} {} {}\n", at(0), at(1), at(2), at(3) + plus)
+        };
+        let moved = format!("{}{}{}0 0 0 1\n", line(cos, -sin, 0.0, 0.12), line(sin, cos, 0.0, -0.08), line(0.0, 0.0, 1.0, 0.03));
+        second.0.insert(format!("pose/{i}.txt"), moved.into_bytes());
+    }
+    let second = server.parsed(second.zip()).await;
+    let told = client.changes_to(&first.id, &second.id, true).await.unwrap();
+    let alignment = told.alignment.unwrap();
+    let off: f64 = alignment.translation_m.iter().zip([0.12, -0.08, 0.03]).map(|(a, b)| (a - b).abs()).sum();
+    assert!(off < 0.03 && (alignment.rotation[2] * 2.0 - 0.05).abs() < 0.01 && alignment.rms_m < 0.02, "{alignment:?}");
+    let before = things(client, &first.id).await;
+    let Changes { appeared, gone, moved, unchanged, .. } = told.changes.clone();
+    assert_eq!(gone.iter().map(|thing| thing.id).collect::<Vec<_>>(), [at(&before, &GREEN).id], "{told:?}");
+    assert_eq!(moved.iter().map(|moved| moved.before.id).collect::<Vec<_>>(), [at(&before, &BLUE).id], "{told:?}");
+    assert!(appeared.len() == 1 && unchanged >= 1, "{told:?}");
+
+    // A room elsewhere is none of it.
+    let far = server
+        .parsed(
+            Scan::of_room(&[([-2.0, -2.0, -4.0], [2.0, 2.0, -3.9], [90; 3]), ([0.5, 0.5, -3.9], [1.5, 1.5, -3.0], [200; 3])], &EIGHTHS)
+                .zip(),
+        )
+        .await;
+    let refused = problem(client.changes_to(&first.id, &far.id, true).await);
+    assert_eq!(refused.code, "scans_apart", "{refused:?}");
+    server.stop().await;
+}
