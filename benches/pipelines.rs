@@ -14,9 +14,10 @@ use uniground_core::progress::Progress;
 use uniground_core::render::{ROOM_VIEW, RenderScene, scene_picture};
 use uniground_core::scene::SceneBundle;
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
+use uniground_core::scene_parsing::evidence::{self, Picture};
 use uniground_core::scene_parsing::masks::MaskSource;
 use uniground_core::scene_parsing::masks::rgbd::RgbdMasks;
-use uniground_core::scene_parsing::{self, ParsingSettings, Perception, evidence, superpoints};
+use uniground_core::scene_parsing::{self, ParsingSettings, Perception, superpoints};
 use uniground_types::settings::ImportSettings;
 
 fn unpacked(folder: &Utf8Path) {
@@ -46,8 +47,10 @@ fn pipelines(c: &mut Criterion) {
     group.bench_function("parse: superpoints to views", |b| {
         b.iter(|| scene_parsing::parse(bundle.clone(), &Perception::with_masks(&masks), &settings, &Checkpoints::none(), &silent).unwrap());
     });
-    group.bench_function("evidence pictures", |b| {
-        b.iter(|| evidence::render(&frames, &parsed.instances, &silent, |_| Ok::<_, scene_parsing::ParseError>(())).unwrap());
+    let instance = parsed.instances.iter().find(|instance| !instance.views.is_empty()).unwrap();
+    let photograph = frames.iter().find(|frame| frame.index == instance.views[0].frame).unwrap();
+    group.bench_function("evidence picture: decode, draw, encode", |b| {
+        b.iter(|| evidence::picture(&photograph.decode_colour().unwrap(), &instance.views[0], Picture::Frame));
     });
     group.finish();
 

@@ -187,6 +187,6 @@ fn picture(jpeg: Vec<u8>) -> ContentBlock {
 async fn bytes_of(picture: EvidenceFile) -> Result<Vec<u8>, Error> {
     match picture {
         EvidenceFile::Stored(file) => Ok(tokio::fs::read(file).await?),
-        EvidenceFile::Drawn(jpeg) => Ok(jpeg),
+        EvidenceFile::Drawn(jpeg) => Ok(jpeg.into()),
     }
 }

@@ -4,14 +4,15 @@ mod graph;
 
 pub use graph::written;
 
+use super::Service;
+use super::answers::StoredScene;
 use super::parses::LoadedParse;
-use super::{Service, parses};
 use crate::error::Error;
+use bytes::Bytes;
 use camino::Utf8PathBuf;
 use std::sync::Arc;
-use tokio::task::spawn_blocking;
 use uniground_core::scene::{Instance, InstanceId};
-use uniground_core::scene_parsing::evidence::{self, Picture};
+use uniground_core::scene_parsing::evidence::Picture;
 use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture};
 
 /// A picture of an instance.
@@ -19,7 +20,7 @@ pub enum EvidenceFile {
     /// A JPEG file.
     Stored(Utf8PathBuf),
     /// The bytes of one.
-    Drawn(Vec<u8>),
+    Drawn(Bytes),
 }
 
 /// An instance as callers see it.
@@ -126,16 +127,9 @@ impl Service {
             ViewPicture::Frame => Picture::Frame,
             ViewPicture::Crop => Picture::Crop,
         };
-        let folder = self.store.blobs.parse(&parse.id);
-        if !instance.came_later() {
-            return Ok(EvidenceFile::Stored(self.sound_file(&parse.id, parses::view(&folder, id, view as usize, picture)).await?));
-        }
-        // A parse's folder never changes: what came later is drawn when it is looked at.
-        let content = parse.content.clone();
-        let seen = instance.views[view as usize].clone();
-        let drawn =
-            spawn_blocking(move || Some(evidence::picture(&parses::read_photograph(&folder, &content, seen.frame)?, &seen, picture)));
-        drawn.await?.map(EvidenceFile::Drawn).ok_or(Error::ViewNotFound { id, view, views })
+        let scene = StoredScene::new(self.clone(), parse);
+        let drawn = self.view_of_instance(scene, &instance, view as usize, picture).await?;
+        drawn.ok_or(Error::ViewNotFound { id, view, views })
     }
 
     /// An instance of a scene's current parse, and the parse.

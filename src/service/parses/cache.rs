@@ -1,6 +1,7 @@
 //! Parses that stay in memory, so that a question does not wait for the database or a decoder.
 
 use crate::store::Scratch;
+use bytes::Bytes;
 use camino::Utf8PathBuf;
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -44,6 +45,8 @@ const POINTS: usize = 8_000_000;
 const OCCUPANCY_BYTES: usize = 128 << 20;
 /// Folders with points that were made since the start; each is as large as the scene's cloud.
 const MADE: usize = 16;
+/// Bytes of drawn pictures of instances that stay in memory.
+const DRAWN_BYTES: usize = 64 << 20;
 /// Files whose state is remembered.
 const FILES: usize = 4096;
 
@@ -59,6 +62,8 @@ pub struct ParseCache {
     pub sound: Recent<(u64, SystemTime)>,
     /// Points of parses from before they were kept.
     pub points: Recent<Arc<Scratch>>,
+    /// Pictures of instances, by the file a parse could have kept.
+    pub drawn: Recent<Bytes>,
 }
 
 impl Default for ParseCache {
@@ -70,6 +75,7 @@ impl Default for ParseCache {
             occupancies: Recent::new(OCCUPANCY_BYTES),
             sound: Recent::new(FILES),
             points: Recent::new(MADE),
+            drawn: Recent::new(DRAWN_BYTES),
         }
     }
 }

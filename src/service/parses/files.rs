@@ -13,7 +13,7 @@ use uniground_core::render::{RenderScene, jpeg};
 use uniground_core::scene::{
     Embeddings, FrameEmbeddings, FrameIndex, FrameRef, InstanceId, write_cloud_ply, write_even_points, write_instances_ply,
 };
-use uniground_core::scene_parsing::evidence::{self, EvidencePicture, Picture};
+use uniground_core::scene_parsing::evidence::Picture;
 use uniground_core::scene_parsing::{ParseError, report_pictures};
 
 /// A file a caller can have.
@@ -50,7 +50,7 @@ const FRAME_EMBEDDINGS: [&str; 2] = ["frame_embeddings.npy", "frame_embeddings_o
 const VIEWS: &str = "views";
 const FRAMES: &str = "frames.json";
 
-/// An evidence picture of an instance; `view` counts from 0.
+/// An evidence picture of an instance, as parses keep it from before such pictures were drawn for who looks at them; `view` counts from 0.
 pub fn view(parse: &Utf8Path, instance: InstanceId, view: usize, picture: Picture) -> Utf8PathBuf {
     parse.join(VIEWS).join(view_name(instance, view, picture))
 }
@@ -129,11 +129,11 @@ pub async fn read_frame_embeddings(parse: &Utf8Path) -> Result<Option<FrameEmbed
     }
 }
 
-/// Writes everything but the report's pictures: clouds, embeddings, evidence; `progress` is told in the two parts it takes.
+/// Writes what a parse keeps: clouds, embeddings, pictures of the report, and the photographs that evidence is drawn from.
 ///
 /// # Errors
 /// Those of the file system and of frames; cancellation.
-pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &Progress, drawing: &Progress) -> Result<(), Error> {
+pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &Progress) -> Result<(), Error> {
     let (parsed, parse) = (&scan.scene, folder.path());
     writing.report("write_clouds", 0.0).map_err(ParseError::from)?;
     write_cloud_ply(&parsed.cloud, File::create(ParseFile::Cloud.of(parse))?)?;
@@ -166,7 +166,5 @@ pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &
             Some(_) => fs::write(file, jpeg(&frame.decode_colour().map_err(ParseError::from)?))?,
         }
     }
-    evidence::render(&scan.frames, &parsed.instances, drawing, |EvidencePicture { instance, view: at, picture, jpeg }| {
-        Ok::<_, Error>(fs::write(view(parse, instance, at, picture), jpeg)?)
-    })
+    Ok(())
 }

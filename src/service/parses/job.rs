@@ -84,7 +84,7 @@ impl Service {
         let origin = serde_json::to_string(&(STAGE_1_VERSION, grown_from.as_ref().unwrap_or(&scene.content_hash), &settings.import))?;
         let (span, start) = (tracing::Span::current(), Instant::now());
         // Networks take nearly all of the time where they take part.
-        let (parsed_by, drawn_by) = if self.models.loaded.is_empty() { (0.8, 0.85) } else { (0.98, 0.985) };
+        let parsed_by = if self.models.loaded.is_empty() { 0.9 } else { 0.99 };
         let (blobs, pool, models, job_settings) = (self.store.blobs.clone(), self.parsing.clone(), self.models.clone(), settings.clone());
         let (entered, scan_folder, parsing) = (span.clone(), content.clone(), progress.part(0.0, parsed_by));
         let work = move || {
@@ -112,7 +112,7 @@ impl Service {
                 let inherited = previous
                     .map(|previous| previous.continue_in(&mut scan, &progress.part(parsed_by, parsed_by)))
                     .transpose()?;
-                files::write(&scan, &content, &folder, &progress.part(parsed_by, drawn_by), &progress.part(drawn_by, 1.0))?;
+                files::write(&scan, &content, &folder, &progress.part(parsed_by, 1.0))?;
                 Ok::<_, Error>(inherited)
             })?;
             blobs.publish(folder, &place)?;

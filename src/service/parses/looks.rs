@@ -1,17 +1,19 @@
 //! A parse for who looks at it: points, a small picture, the photographs and where they were taken from.
 
-use super::{ParseFile, read_frames};
+use super::{ParseFile, photograph, read_frames, read_photograph, view};
 use crate::error::Error;
 use crate::service::answers::StoredScene;
 use crate::service::{EvidenceFile, Service};
 use crate::store::Scratch;
+use bytes::Bytes;
 use camino::Utf8PathBuf;
 use std::fs::File;
 use std::io::BufReader;
 use std::sync::Arc;
 use tokio::task::spawn_blocking;
 use uniground_core::grounding::pipeline::SceneSource;
-use uniground_core::scene::{FrameRef, InstanceId, Intrinsics, Owners, read_instance_of_point, write_even_points};
+use uniground_core::scene::{FrameRef, Instance, InstanceId, Intrinsics, Owners, read_instance_of_point, write_even_points};
+use uniground_core::scene_parsing::evidence::{self, Picture};
 use uniground_core::scene_parsing::{ParseError, report_pictures};
 use uniground_types::scene::{FrameList, FrameView};
 
@@ -46,7 +48,7 @@ impl Service {
             return Ok(EvidenceFile::Stored(file));
         }
         let drawn = self.draw(scene, |_, scene| Ok(report_pictures::thumbnail(&*scene.render_scene()?, &scene.extent())));
-        drawn.await.map(EvidenceFile::Drawn)
+        drawn.await.map(|jpeg| EvidenceFile::Drawn(jpeg.into()))
     }
 
     /// Computes for who looks at a scene, one after the other: questions go before, in places of their own.
@@ -71,10 +73,51 @@ impl Service {
     async fn kept(&self, scene_id: &str, file: ParseFile) -> Result<(Arc<StoredScene>, Option<Utf8PathBuf>), Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
-        let path = file.of(&scene.folder());
+        let file = self.if_kept(&scene, file.of(&scene.folder())).await?;
+        Ok((scene, file))
+    }
+
+    async fn if_kept(&self, scene: &StoredScene, path: Utf8PathBuf) -> Result<Option<Utf8PathBuf>, Error> {
         let (blobs, folder, file) = (self.store.blobs.clone(), scene.folder(), path.clone());
         let is_kept = spawn_blocking(move || blobs.holds(&folder, &file)).await??;
-        Ok((scene, if is_kept { Some(self.sound_file(&parse_id, path).await?) } else { None }))
+        Ok(if is_kept { Some(self.sound_file(&scene.parse.id, path).await?) } else { None })
+    }
+
+    /// A picture of an instance in one of its views; `None`, and a line in the log, where the photograph can not be read.
+    ///
+    /// # Errors
+    /// [`Error::ParseDamaged`].
+    pub(in crate::service) async fn view_of_instance(
+        &self,
+        scene: Arc<StoredScene>,
+        instance: &Instance,
+        at: usize,
+        picture: Picture,
+    ) -> Result<Option<EvidenceFile>, Error> {
+        let file = view(&scene.folder(), instance.id, at, picture);
+        if let Some(file) = self.if_kept(&scene, file.clone()).await? {
+            return Ok(Some(EvidenceFile::Stored(file)));
+        }
+        // What merges have made may be taken back, and others may get their ids.
+        let stays = !instance.came_later();
+        if let Some(drawn) = self.parses.drawn.get(file.as_str()).filter(|_| stays) {
+            return Ok(Some(EvidenceFile::Drawn(drawn)));
+        }
+        let seen = instance.views[at].clone();
+        let drawn = self.draw(scene, move |service, scene| {
+            let (parse, folder) = (&scene.parse, scene.folder());
+            let kept = photograph(&folder, seen.frame);
+            if service.store.blobs.holds(&folder, &kept)? {
+                scene.check(&kept)?;
+            }
+            let photograph = read_photograph(&folder, &parse.content, seen.frame);
+            Ok(photograph.map(|photograph| Bytes::from(evidence::picture(&photograph, &seen, picture))))
+        });
+        let Some(drawn) = drawn.await? else { return Ok(None) };
+        if stays {
+            self.parses.drawn.put(file.into(), drawn.clone(), drawn.len());
+        }
+        Ok(Some(EvidenceFile::Drawn(drawn)))
     }
 
     /// The frames of a scene's current parse.
@@ -109,7 +152,7 @@ impl Service {
             return Ok(EvidenceFile::Stored(frame.colour));
         }
         let drawn = self.draw(scene, move |_, scene| scene.photograph_with_instances(&frame));
-        drawn.await.map(EvidenceFile::Drawn)
+        drawn.await.map(|jpeg| EvidenceFile::Drawn(jpeg.into()))
     }
 }
 

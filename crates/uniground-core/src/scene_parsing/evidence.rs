@@ -1,10 +1,9 @@
 //! Evidence pictures for people: of every view a crop and the full frame with a red box, the instance outlined in both (paper: candidate
-//! visual evidence). Models get collages, whose outlines are drawn at their own size: [`crate::render::Shot::of_view`].
+//! visual evidence). Nobody looks at all of them, so each is drawn when somebody does. Models get collages, whose outlines are
+//! drawn at their own size: [`crate::render::Shot::of_view`].
 
-use super::ParseError;
-use crate::progress::Progress;
 use crate::render::{Around, crop_area, cut, draw_outline, jpeg, outline_reach, shares};
-use crate::scene::{CellMask, FrameRef, Instance, InstanceId, View, stream_frames};
+use crate::scene::{CellMask, View};
 use image::{Rgb, RgbImage};
 
 /// Which of the two pictures of a view.
@@ -16,82 +15,29 @@ pub enum Picture {
     Frame,
 }
 
-/// One encoded picture.
-pub struct EvidencePicture {
-    /// Whose picture it is.
-    pub instance: InstanceId,
-    /// Position in [`Instance::views`].
-    pub view: usize,
-    /// Crop or whole frame.
-    pub picture: Picture,
-    /// The encoded file.
-    pub jpeg: Vec<u8>,
-}
-
 const RED: Rgb<u8> = Rgb([230, 20, 20]);
-
-/// Instance, position among its views, and the view itself.
-type WantedView<'a> = (InstanceId, usize, &'a View);
-
-/// Renders the evidence of all instances, frame by frame, and hands each picture to `keep`.
-///
-/// # Errors
-/// [`ParseError`] for unreadable frames and cancellation, or whatever `keep` fails with.
-pub fn render<E: From<ParseError> + Send>(
-    frames: &[FrameRef],
-    instances: &[Instance],
-    progress: &Progress,
-    mut keep: impl FnMut(EvidencePicture) -> Result<(), E>,
-) -> Result<(), E> {
-    let wanted: Vec<(&FrameRef, Vec<WantedView>)> = frames
-        .iter()
-        .map(|frame| {
-            let views = instances.iter().flat_map(|i| i.views.iter().enumerate().map(|(k, view)| (i.id, k, view)));
-            (frame, views.filter(|(_, _, view)| view.frame == frame.index).collect::<Vec<_>>())
-        })
-        .filter(|(_, views)| !views.is_empty())
-        .collect();
-    let refs: Vec<FrameRef> = wanted.iter().map(|(frame, _)| (*frame).clone()).collect();
-    let views_of = |frame: &FrameRef| wanted.iter().find(|(f, _)| f.index == frame.index).map_or(&[][..], |(_, views)| views);
-    stream_frames(
-        &refs,
-        |frame| {
-            progress.check().map_err(ParseError::from)?;
-            let colour = frame.decode_colour().map_err(ParseError::from)?;
-            Ok(views_of(frame).iter().flat_map(|&(id, k, view)| pictures(&colour, id, k, view)).collect::<Vec<_>>())
-        },
-        |i, pictures: Vec<EvidencePicture>| {
-            progress.report("evidence", i as f32 / refs.len() as f32).map_err(ParseError::from)?;
-            pictures.into_iter().try_for_each(&mut keep)
-        },
-    )
-}
 
 /// One picture of a view, from the photograph it is of: a JPEG file.
 #[must_use]
 pub fn picture(colour: &RgbImage, seen: &View, picture: Picture) -> Vec<u8> {
-    let [crop, frame] = pictures(colour, InstanceId(0), 0, seen);
-    match picture {
-        Picture::Crop => crop.jpeg,
-        Picture::Frame => frame.jpeg,
+    let mask = seen.mask.as_ref().and_then(CellMask::unpacked);
+    let (area, around) = match picture {
+        Picture::Crop => (crop_area(seen.box_px, colour.dimensions()), Around::Dimmed),
+        Picture::Frame => ([0, 0, colour.width(), colour.height()], Around::Kept),
+    };
+    let mut drawn = cut(colour, area);
+    let whole = (0, 0, drawn.width(), drawn.height());
+    if let Some(mask) = &mask {
+        draw_outline(&mut drawn, whole, mask, shares(seen.box_px, area), around);
     }
-}
-
-fn pictures(colour: &RgbImage, instance: InstanceId, view: usize, seen: &View) -> [EvidencePicture; 2] {
-    let area = crop_area(seen.box_px, colour.dimensions());
-    let (mut crop, mut boxed, mut around) = (cut(colour, area), colour.clone(), seen.box_px);
-    if let Some(mask) = seen.mask.as_ref().and_then(CellMask::unpacked) {
-        let of = |picture: &RgbImage| (0, 0, picture.width(), picture.height());
-        let (in_crop, in_frame) = (of(&crop), of(&boxed));
-        draw_outline(&mut crop, in_crop, &mask, shares(seen.box_px, area), Around::Dimmed);
-        draw_outline(&mut boxed, in_frame, &mask, shares(seen.box_px, [0, 0, in_frame.2, in_frame.3]), Around::Kept);
+    if picture == Picture::Frame {
         // The box leaves room for the outline.
-        let ([left, top, right, bottom], room) = (around, outline_reach(in_frame.2, in_frame.3));
-        around = [left.saturating_sub(room), top.saturating_sub(room), (right + room).min(in_frame.2), (bottom + room).min(in_frame.3)];
+        let room = if mask.is_some() { outline_reach(whole.2, whole.3) } else { 0 };
+        let [left, top, right, bottom] = seen.box_px;
+        let boxed = [left.saturating_sub(room), top.saturating_sub(room), (right + room).min(whole.2), (bottom + room).min(whole.3)];
+        draw_box(&mut drawn, boxed);
     }
-    draw_box(&mut boxed, around);
-    let picture = |picture, image: &RgbImage| EvidencePicture { instance, view, picture, jpeg: jpeg(image) };
-    [picture(Picture::Crop, &crop), picture(Picture::Frame, &boxed)]
+    jpeg(&drawn)
 }
 
 /// A red outline just outside the box, three pixels wide, clipped to the picture.
@@ -127,9 +73,8 @@ mod tests {
         let colour = RgbImage::from_pixel(400, 300, Rgb([90, 90, 90]));
         let mask = CellMask::of(8, 8, |column, row| column + row < 8).packed();
         let seen = View { frame: FrameIndex(0), visible_points: 9, box_px: [100, 100, 180, 180], mask: Some(mask) };
-        let [crop, frame] = pictures(&colour, InstanceId(1), 0, &seen);
-        let decoded = |p: &EvidencePicture| image::load_from_memory(&p.jpeg).unwrap().into_rgb8();
-        let (crop, frame) = (decoded(&crop), decoded(&frame));
+        let decoded = |of| image::load_from_memory(&picture(&colour, &seen, of)).unwrap().into_rgb8();
+        let (crop, frame) = (decoded(Picture::Crop), decoded(Picture::Frame));
         assert_eq!((crop.dimensions(), frame.dimensions()), ((224, 224), (400, 300)));
         let reddish = |p: &Rgb<u8>| p.0[0] > 150 && p.0[1] < 110;
         let yellowish = |p: &&Rgb<u8>| p.0[0] > 150 && p.0[1] > 150 && p.0[2] < 130;
