@@ -8,6 +8,7 @@ mod demo;
 mod doctor;
 mod eval;
 mod fetching;
+mod find;
 mod following;
 mod gc;
 mod ground;
@@ -52,6 +53,8 @@ enum Command {
     Ground(Box<ground::GroundArgs>),
     /// Bring a scan to a running server, and wait for its parse
     Upload(upload::UploadArgs),
+    /// Find out in which scene of a running server something is
+    Find(find::FindArgs),
     /// List the scenes of a running server
     Scenes(scenes::ScenesArgs),
     /// Ask a running server many questions
@@ -102,6 +105,7 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
         Command::Demo(args) => asynchronous(demo::run(args)),
         Command::Ground(args) => asynchronous(ground::run(args)),
         Command::Upload(args) => asynchronous(upload::run(args)),
+        Command::Find(args) => asynchronous(find::run(args)),
         Command::Scenes(args) => asynchronous(scenes::run(args)),
         Command::Batch(args) => asynchronous(batch::run(args)),
         Command::Mcp(config) => asynchronous(mcp::run(config)),

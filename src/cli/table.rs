@@ -9,10 +9,40 @@ use uniground_types::answer::Answer;
 use uniground_types::changes::{ChangedThing, Changes, MovedThing};
 use uniground_types::instances::InstanceView;
 use uniground_types::keys::Key;
+use uniground_types::many::{ManyAnswers, SceneAnswer};
 use uniground_types::placement::{FrameChoice, InFrame, PlacedBox};
 use uniground_types::scenes::Scene;
 
 const WIDTH: u16 = 110;
+
+/// Scenes in which something may be, the likeliest first.
+pub fn of_many(found: &ManyAnswers) -> Table {
+    let mut table = empty();
+    table.set_header(["Scene", "Status", "ID", "What", "Box (m, Z up)"]);
+    for SceneAnswer { scene_name, labels, answer } in &found.answers {
+        let filed: Vec<String> = labels.iter().map(|(name, value)| format!("{name}={value}")).collect();
+        let scene = if filed.is_empty() { scene_name.clone() } else { format!("{scene_name}\n{}", filed.join(", ")) };
+        let id = answer.answer.predicted_id;
+        let what = id.and_then(|id| answer.answer.candidate_names.get(&id.0).cloned());
+        table.add_row([
+            scene,
+            format!("{} ({:.2})", status_of(answer), answer.confidence),
+            id.map_or_else(|| "none".into(), |id| id.to_string()),
+            what.unwrap_or_default(),
+            answer.aabb.as_ref().map(of_box).unwrap_or_default(),
+        ]);
+    }
+    table
+}
+
+fn status_of(answer: &Answer) -> &'static str {
+    match answer.status {
+        Status::Grounded => "grounded",
+        Status::Uncertain => "uncertain",
+        Status::Ambiguous => "ambiguous",
+        Status::NoMatch => "no match",
+    }
+}
 
 /// The six fields, box, status and time of one answer.
 pub fn of_answer(answer: &Answer) -> Table {
@@ -24,16 +54,10 @@ pub fn of_answer(answer: &Answer) -> Table {
         .map(|(id, name)| format!("{id}: {name}"))
         .collect::<Vec<_>>()
         .join(", ");
-    let status = match answer.status {
-        Status::Grounded => "grounded",
-        Status::Uncertain => "uncertain",
-        Status::Ambiguous => "ambiguous",
-        Status::NoMatch => "no match",
-    };
     let matches = fields.target_name_matches.map(|yes| if yes { "yes" } else { "no" }.to_owned());
     let mut table = empty();
     table.set_header(vec!["Question".to_owned(), answer.query.clone()]);
-    table.add_row(vec!["Status".to_owned(), format!("{status} (confidence {:.2})", answer.confidence)]);
+    table.add_row(vec!["Status".to_owned(), format!("{} (confidence {:.2})", status_of(answer), answer.confidence)]);
     table.add_row(vec!["Predicted ID".to_owned(), or_none(fields.predicted_id.map(|id| id.to_string()))]);
     table.add_row(vec!["Explanation".to_owned(), fields.explanation.clone()]);
     table.add_row(vec!["Candidate Names".to_owned(), if names.is_empty() { "none".into() } else { names }]);

@@ -1,4 +1,4 @@
-//! `/v1/scenes/{scene_id}/ground` and `/shortlist`
+//! `/v1/scenes/{scene_id}/ground` and `/shortlist`, and `/v1/ground`
 
 use super::extract::{Json, Path};
 use super::problem::Refused;
@@ -8,6 +8,7 @@ use axum::extract::State;
 use axum::http::{HeaderMap, HeaderValue};
 use axum::response::{IntoResponse, Response};
 use uniground_types::answer::{Answer, Shortlisted};
+use uniground_types::many::{ManyAnswers, ManyGroundRequest};
 use uniground_types::problem::Problem;
 use uniground_types::question::{GroundRequest, ShortlistRequest};
 
@@ -57,6 +58,36 @@ pub async fn ground(
         response.headers_mut().insert("idempotent-replayed", HeaderValue::from_static("true"));
     }
     Ok(response)
+}
+
+/// Finds out in which of many scenes something is.
+///
+/// Every scene is looked into without a model; those that most likely have it are asked in full, and their answers kept.
+#[utoipa::path(
+    post, path = "/v1/ground", operation_id = "ground_many", tag = "grounding", request_body = ManyGroundRequest,
+    responses(
+        (status = 200, body = ManyAnswers),
+        (status = 400, body = Problem, content_type = "application/problem+json"),
+        (status = 401, body = Problem, content_type = "application/problem+json"),
+        (status = 402, body = Problem, content_type = "application/problem+json"),
+        (status = 404, body = Problem, content_type = "application/problem+json"),
+        (status = 409, body = Problem, content_type = "application/problem+json"),
+        (status = 413, body = Problem, content_type = "application/problem+json"),
+        (status = 415, body = Problem, content_type = "application/problem+json"),
+        (status = 422, body = Problem, content_type = "application/problem+json"),
+        (status = 429, body = Problem, content_type = "application/problem+json"),
+        (status = 502, body = Problem, content_type = "application/problem+json"),
+        (status = 503, body = Problem, content_type = "application/problem+json"),
+        (status = 504, body = Problem, content_type = "application/problem+json"),
+    ),
+    security(("key" = ["read"]), ())
+)]
+pub async fn ground_many(
+    State(app): State<App>,
+    Extension(caller): Asking,
+    Json(request): Json<ManyGroundRequest>,
+) -> Result<axum::Json<ManyAnswers>, Refused> {
+    Ok(axum::Json(app.service.ground_many(request, caller).await?))
 }
 
 /// The candidates for a query, without reasoning over relations.

@@ -132,6 +132,7 @@ fn routes() -> OpenApiRouter<App> {
         .routes(routes!(jobs::get, jobs::cancel))
         .routes(routes!(jobs::events))
         .routes(routes!(grounding::ground))
+        .routes(routes!(grounding::ground_many))
         .routes(routes!(grounding::shortlist))
         .routes(routes!(approach::approach))
         .routes(routes!(approach::floor))

@@ -3,7 +3,7 @@
 use super::Binary;
 use super::caching::send_file;
 use super::extract::{Json, Path, Query};
-use super::paging::Page;
+use super::paging::{DEFAULT_LIMIT, checked};
 use super::problem::Refused;
 use super::{App, Asking};
 use crate::error::Error;
@@ -23,6 +23,7 @@ use std::time::Duration;
 use tokio::time::timeout;
 use uniground_core::models::with_causes;
 use uniground_types::geometry::up_axis::UpAxis;
+use uniground_types::labels::read_labels;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::{Created, ImportRequest, ParseRequest, Scene, SceneChange, SceneList};
 use uniground_types::settings::{ImportSettings, LevellingChoice, ParsePreset, ParseSettings};
@@ -186,9 +187,24 @@ pub async fn create_sample(State(app): State<App>, Extension(caller): Asking) ->
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
+/// Which scenes are wanted.
+#[derive(Debug, Deserialize, IntoParams)]
+#[serde(deny_unknown_fields)]
+#[into_params(parameter_in = Query)]
+pub struct ListParameters {
+    /// Those with all of these labels.
+    #[param(example = "building=A,floor=2")]
+    labels: Option<String>,
+    /// Entries per page.
+    #[param(minimum = 1, maximum = 100, default = 20)]
+    limit: Option<u32>,
+    /// `next_cursor` of the page before.
+    cursor: Option<String>,
+}
+
 /// Lists scenes, newest first, without their settings and reports.
 #[utoipa::path(
-    get, path = "/v1/scenes", operation_id = "list_scenes", tag = "scenes", params(Page),
+    get, path = "/v1/scenes", operation_id = "list_scenes", tag = "scenes", params(ListParameters),
     responses(
         (status = 200, body = SceneList),
         (status = 401, body = Problem, content_type = "application/problem+json"),
@@ -197,9 +213,11 @@ pub async fn create_sample(State(app): State<App>, Extension(caller): Asking) ->
     ),
     security(("key" = ["read"]), ())
 )]
-pub async fn list(State(app): State<App>, Query(page): Query<Page>) -> Result<axum::Json<SceneList>, Refused> {
-    let (limit, cursor) = page.checked()?;
-    Ok(axum::Json(app.service.scenes(limit, cursor.as_deref()).await?))
+pub async fn list(State(app): State<App>, Query(parameters): Query<ListParameters>) -> Result<axum::Json<SceneList>, Refused> {
+    let ListParameters { limit, cursor, labels } = parameters;
+    let (limit, cursor) = checked(limit.unwrap_or(DEFAULT_LIMIT), cursor)?;
+    let labels = labels.map(|labels| read_labels("labels", &labels)).transpose().map_err(Error::from)?;
+    Ok(axum::Json(app.service.scenes(limit, cursor.as_deref(), labels.unwrap_or_default()).await?))
 }
 
 /// One scene.
@@ -217,7 +235,7 @@ pub async fn get(State(app): State<App>, Path(scene_id): Path<String>) -> Result
     Ok(axum::Json(app.service.scene(&scene_id).await?))
 }
 
-/// Renames a scene, and says where it lies in a map.
+/// Renames a scene, files it under labels, and says where it lies in a map.
 #[utoipa::path(
     patch, path = "/v1/scenes/{scene_id}", operation_id = "change_scene", tag = "scenes", params(("scene_id" = String, Path)), request_body = SceneChange,
     responses(

@@ -40,7 +40,7 @@ pub use keys::KeyRow;
 pub use parses::{NewParse, ParseRow};
 pub use records::ParseRecord;
 pub use retention::{Aged, Before, Due};
-pub use scenes::{Inserted, NewSceneRow, SceneRow, SceneRowChange};
+pub use scenes::{Inserted, NewSceneRow, SceneFilter, SceneRow, SceneRowChange};
 pub use sweep::{KEEP_QUARANTINE_DAYS, Strays};
 pub use uploads::{CameOf, Unfinished, UploadRow, WantedScene};
 
@@ -251,7 +251,7 @@ impl Store {
 }
 
 /// What brings a database of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 13] = [
+const MIGRATIONS: [(i64, &str, &str); 14] = [
     (1, "scenes parses jobs answers", include_str!("../../migrations/0001_scenes_parses_jobs_answers.sql")),
     (2, "instance names spending", include_str!("../../migrations/0002_instance_names_spending.sql")),
     (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
@@ -265,6 +265,7 @@ const MIGRATIONS: [(i64, &str, &str); 13] = [
     (11, "question keys", include_str!("../../migrations/0011_question_keys.sql")),
     (12, "uploads", include_str!("../../migrations/0012_uploads.sql")),
     (13, "scene changes", include_str!("../../migrations/0013_scene_changes.sql")),
+    (14, "labels", include_str!("../../migrations/0014_labels.sql")),
 ];
 
 fn migrations() -> Migrator {

@@ -7,6 +7,7 @@ use super::{JobRow, NewJob, Store, StoreError, now};
 use camino::Utf8PathBuf;
 use sqlx::sqlite::SqliteRow;
 use sqlx::{FromRow, Row, SqliteConnection};
+use uniground_types::labels::Labels;
 use uniground_types::placement::SceneToMap;
 
 /// A scene as stored.
@@ -21,6 +22,7 @@ pub struct SceneRow {
     /// `None` too where it is of a version that can not be read.
     pub scene_to_map: Option<SceneToMap>,
     pub map_frame_id: Option<String>,
+    pub labels: Labels,
     pub created_at: String,
     pub updated_at: String,
 }
@@ -30,6 +32,16 @@ pub struct SceneRowChange<'a> {
     pub name: Option<&'a str>,
     pub scene_to_map: Option<Option<SceneToMap>>,
     pub map_frame_id: Option<Option<&'a str>>,
+    pub labels: Option<Labels>,
+}
+
+/// Which scenes are meant.
+#[derive(Debug, Default)]
+pub struct SceneFilter {
+    /// `None`: any.
+    pub ids: Option<Vec<String>>,
+    /// A scene has all of them.
+    pub labels: Labels,
 }
 
 impl FromRow<'_, SqliteRow> for SceneRow {
@@ -45,6 +57,7 @@ impl FromRow<'_, SqliteRow> for SceneRow {
                 .try_get::<Option<String>, _>("scene_to_map")?
                 .and_then(|text| read_or_none("place in a map", &text)),
             map_frame_id: row.try_get("map_frame_id")?,
+            labels: read_or_none("labels", row.try_get("labels")?).unwrap_or_default(),
             created_at: row.try_get("created_at")?,
             updated_at: row.try_get("updated_at")?,
         })
@@ -162,17 +175,24 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn scenes(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<SceneRow>, StoreError> {
-        let sql = "SELECT * FROM scenes WHERE ?1 IS NULL OR id < ?1 ORDER BY id DESC LIMIT ?2";
-        Ok(sqlx::query_as(sql).bind(cursor).bind(limit).fetch_all(&self.reader).await?)
+    pub async fn scenes(&self, limit: u32, cursor: Option<&str>, filter: &SceneFilter) -> Result<Vec<SceneRow>, StoreError> {
+        let sql = "SELECT * FROM scenes WHERE (?1 IS NULL OR id < ?1) AND (?3 IS NULL OR id IN (SELECT value FROM json_each(?3)))
+                   AND NOT EXISTS (SELECT 1 FROM json_each(?4) AS wanted WHERE NOT EXISTS (
+                       SELECT 1 FROM json_each(scenes.labels) AS has WHERE has.key = wanted.key AND has.value = wanted.value))
+                   ORDER BY id DESC LIMIT ?2";
+        let ids = filter.ids.as_ref().map(serde_json::to_string).transpose()?;
+        let labels = serde_json::to_string(&filter.labels)?;
+        let query = sqlx::query_as(sql).bind(cursor).bind(limit).bind(ids).bind(labels);
+        Ok(query.fetch_all(&self.reader).await?)
     }
 
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn change_scene(&self, id: &str, change: SceneRowChange<'_>) -> Result<Option<SceneRow>, StoreError> {
-        let SceneRowChange { name, scene_to_map, map_frame_id } = change;
+        let SceneRowChange { name, scene_to_map, map_frame_id, labels } = change;
         let sql = "UPDATE scenes SET name = coalesce(?1, name), scene_to_map = CASE WHEN ?2 THEN ?3 ELSE scene_to_map END,
-                   map_frame_id = CASE WHEN ?4 THEN ?5 ELSE map_frame_id END, updated_at = ?6 WHERE id = ?7 RETURNING *";
+                   map_frame_id = CASE WHEN ?4 THEN ?5 ELSE map_frame_id END, updated_at = ?6, labels = coalesce(?8, labels)
+                   WHERE id = ?7 RETURNING *";
         let place = scene_to_map.flatten().map(|place| serde_json::to_string(&place)).transpose()?;
         let query = sqlx::query_as(sql)
             .bind(name)
@@ -181,7 +201,8 @@ impl Store {
             .bind(map_frame_id.is_some())
             .bind(map_frame_id.flatten())
             .bind(now())
-            .bind(id);
+            .bind(id)
+            .bind(labels.map(|labels| serde_json::to_string(&labels)).transpose()?);
         Ok(query.fetch_optional(self.writer.pool()).await?)
     }
 

@@ -101,7 +101,7 @@ async fn every_route_refuses_the_under_scoped() {
     let (writer, _) = holder(&admin, &url, wanted("writer", Scope::Write)).await;
     // Asked with a body, and changing nothing.
     let of_scene = ["ground", "shortlist", "approach"].map(|what| format!("/v1/scenes/{{scene_id}}/{what}"));
-    let questions: Vec<&str> = of_scene.iter().map(String::as_str).chain(["/v1/links", "/mcp"]).collect();
+    let questions: Vec<&str> = of_scene.iter().map(String::as_str).chain(["/v1/ground", "/v1/links", "/mcp"]).collect();
     let openapi = serde_json::to_value(uniground::http::openapi()).unwrap();
     let mut asked = [0; 3];
     for (path, operations) in openapi["paths"].as_object().unwrap() {

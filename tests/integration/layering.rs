@@ -41,9 +41,9 @@ const PACKAGES: [(&str, Floors); 3] = [
         "crates/uniground-types/src",
         &[
             &["export"],
-            &["approach", "changes", "graph", "scenes", "instances", "service", "stats", "transcript", "batch", "keys", "uploads"],
+            &["approach", "changes", "graph", "many", "scenes", "instances", "service", "stats", "transcript", "batch", "keys", "uploads"],
             &["answer", "corrections", "links", "question", "settings", "job", "models"],
-            &["placement"],
+            &["labels", "placement"],
             &["scene", "problem"],
             &["geometry"],
         ],

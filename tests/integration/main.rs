@@ -27,6 +27,7 @@ mod language;
 mod layering;
 mod litellm;
 mod logs;
+mod many;
 mod mcp;
 mod model_choice;
 mod neural;

@@ -75,6 +75,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     expected["settings"]["parsing"]["instances"]["parts_and_wholes"] = 0.0.into();
     expected["scene_to_map"] = Value::Null;
     expected["map_frame_id"] = Value::Null;
+    expected["labels"] = serde_json::json!({});
     expected["import"]["levelling"] = Value::Null;
     expected["import"]["source_to_scene"] = Value::Null;
     expected["report"]["dropped"] = 0.into();

@@ -58,6 +58,22 @@ def test_a_scene_grows_and_tells_what_changed(client: Client, few_frames: Path) 
     scene.delete()
 
 
+def test_something_is_found_in_one_of_many_scenes(client: Client, scene: Scene) -> None:
+    try:
+        assert scene.label({"building": "A", "floor": "2"}).info.labels == {"building": "A", "floor": "2"}
+        assert [known.id for known in client.scenes(labels={"building": "A"})] == [scene.id]
+        found = client.find(MUG, labels={"building": "A"}, top_k=1)
+        assert (found.looked_into, found.not_asked) == (1, [])
+        assert (found.answers[0].scene_name, found.answers[0].answer.scene_id) == (scene.name, scene.id)
+        assert found.answers[0].answer.name == "orange mug"
+        assert client.find(MUG, labels={"building": "B"}).answers == []
+        with pytest.raises(UnigroundError) as refused:
+            client.find(MUG, scenes=[])
+        assert refused.value.code == "invalid_request"
+    finally:
+        scene.label({})
+
+
 def test_an_answer_has_its_boxes_as_arrays(scene: Scene) -> None:
     answer = scene.ask("the mug on the coffee table", top_k=3)
     assert answer.status == "grounded"

@@ -35,6 +35,7 @@ use uniground_types::instances::{InstanceList, InstanceView, Levels};
 use uniground_types::job::{Job, JobList};
 use uniground_types::keys::{AuditList, CreatedKey, Key, KeyList, NewKey};
 use uniground_types::links::{LinkList, LinkRequest};
+use uniground_types::many::{ManyAnswers, ManyGroundRequest};
 use uniground_types::question::{GroundRequest, ShortlistRequest};
 use uniground_types::scenes::{Created, Scene, SceneChange, SceneList, SceneReport};
 use uniground_types::service::ModelList;
@@ -127,13 +128,23 @@ impl Client {
         .await
     }
 
+    /// A page of the scenes that have these labels: `building=A,floor=2`.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn scenes_labelled(&self, labels: &str, limit: u32, cursor: Option<&str>) -> Result<SceneList, ClientError> {
+        let limit = limit.to_string();
+        let query = [("labels", Some(labels)), ("limit", Some(&limit)), ("cursor", cursor)];
+        json(self.request(Method::GET, "v1/scenes").query(&query)).await
+    }
+
     /// # Errors
     /// [`ClientError`].
     pub async fn rename_scene(&self, id: &str, name: &str) -> Result<Scene, ClientError> {
         self.change_scene(id, &SceneChange { name: Some(name.to_owned()), ..SceneChange::default() }).await
     }
 
-    /// Renames a scene, or says where it lies in a map.
+    /// Renames a scene, files it under labels, or says where it lies in a map.
     ///
     /// # Errors
     /// [`ClientError`].
@@ -224,6 +235,14 @@ impl Client {
     /// [`ClientError`].
     pub async fn ground(&self, scene_id: &str, request: &GroundRequest) -> Result<Answer, ClientError> {
         json(self.request(Method::POST, &format!("v1/scenes/{scene_id}/ground")).json(request)).await
+    }
+
+    /// Finds out in which of many scenes something is.
+    ///
+    /// # Errors
+    /// [`ClientError`].
+    pub async fn ground_many(&self, request: &ManyGroundRequest) -> Result<ManyAnswers, ClientError> {
+        json(self.request(Method::POST, "v1/ground").json(request)).await
     }
 
     /// # Errors

@@ -7,6 +7,7 @@ use crate::placement::SceneToMap;
 use crate::scene::{ImportReport, ParseReport};
 use crate::settings::{LevellingChoice, ParseModels, ParsePreset, ParseSettings};
 use serde::{Deserialize, Deserializer, Serialize};
+use std::collections::BTreeMap;
 
 /// How far a scene has come.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -61,6 +62,9 @@ pub struct Scene {
     /// What that map's frame is called; `null` where nobody has said.
     #[serde(default)]
     pub map_frame_id: Option<String>,
+    /// What the scene is filed under: `building`, `floor`, whatever its owner says.
+    #[serde(default)]
+    pub labels: BTreeMap<String, String>,
     /// What the importer found.
     pub import: Option<ImportReport>,
     /// What stage 1 did; `null` in lists.
@@ -116,6 +120,10 @@ pub struct SceneChange {
     #[cfg_attr(feature = "openapi", schema(value_type = Option<String>, min_length = 1, max_length = 200, example = "map"))]
     #[serde(default, deserialize_with = "said", skip_serializing_if = "Option::is_none")]
     pub map_frame_id: Option<Option<String>>,
+    /// What the scene is filed under, all of it: labels that are left out are taken away. At most 20; names of 1 to 63 letters, digits, `.`,
+    /// `_`, `-` and `/`, values of 1 to 100 characters without commas.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub labels: Option<BTreeMap<String, String>>,
 }
 
 /// What a field says, `null` too: a field that is left out says nothing.

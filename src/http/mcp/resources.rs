@@ -4,6 +4,7 @@ use crate::error::Error;
 use crate::http::paging;
 use crate::service::Service;
 use rmcp::model::{ListResourcesResult, Resource, ResourceContents, ResourceTemplate};
+use uniground_types::labels::Labels;
 
 const SCENES: &str = "uniground://scenes/";
 const REPORT: &str = "/report";
@@ -26,7 +27,7 @@ pub(super) fn templates() -> Vec<ResourceTemplate> {
 /// A page of scenes and their reports, newest first.
 pub(super) async fn list(service: &Service, cursor: Option<String>) -> Result<ListResourcesResult, Error> {
     let (_, cursor) = paging::checked(PAGE, cursor)?;
-    let page = service.scenes(PAGE, cursor.as_deref()).await?;
+    let page = service.scenes(PAGE, cursor.as_deref(), Labels::new()).await?;
     let of_scene = |scene: uniground_types::scenes::Scene| {
         let uri = format!("{SCENES}{}", scene.id);
         let report = scene.counts.is_some().then(|| {

@@ -18,6 +18,7 @@ use serde_json::Value;
 use uniground_types::approach::Approach as Approached;
 use uniground_types::graph::{GraphFormat, SceneGraph};
 use uniground_types::instances::{InstanceView, Levels, ViewPicture};
+use uniground_types::labels::Labels;
 use uniground_types::scene::InstanceId;
 use utoipa::ToSchema;
 
@@ -111,7 +112,7 @@ async fn list_scenes(service: &Service, arguments: JsonObject) -> Result<CallToo
     let mut scenes = Vec::new();
     // A page of those that are meant, or all there are.
     loop {
-        let page = service.scenes(SCENES, cursor.as_deref()).await?;
+        let page = service.scenes(SCENES, cursor.as_deref(), Labels::new()).await?;
         scenes.extend(page.scenes.into_iter().filter(|scene| has(&scene.name, name.as_deref())).map(SceneBrief::from));
         cursor = page.next_cursor;
         if cursor.is_none() || !scenes.is_empty() {

@@ -2,6 +2,7 @@
 
 mod in_frame;
 mod lists;
+mod many;
 mod once;
 mod pictures;
 mod stored_scene;

@@ -185,6 +185,20 @@ impl Service {
             return Ok(parse);
         }
         let changes = self.parses.changes();
+        let parse = Arc::new(self.read_parse(parse_id).await?);
+        self.parses.keep(&parse, changes);
+        Ok(parse)
+    }
+
+    /// A parse that is looked at in passing: those that people ask about stay in memory, whatever many are looked through.
+    pub(super) async fn passing_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
+        match self.parses.loaded.get(parse_id) {
+            Some(parse) => Ok(parse),
+            None => Ok(Arc::new(self.read_parse(parse_id).await?)),
+        }
+    }
+
+    async fn read_parse(&self, parse_id: &str) -> Result<LoadedParse, Error> {
         let gone = || Error::SceneNotFound { id: parse_id.into() };
         let row = self.store.parse(parse_id).await?.ok_or_else(gone)?;
         let ParseRecord { models, extent, import, .. } = row.record();
@@ -200,7 +214,7 @@ impl Service {
         });
         let frame_embeddings = files::read_frame_embeddings(&self.store.blobs.parse(parse_id)).await?;
         let around = || Aabb::around(&instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>());
-        let parse = Arc::new(LoadedParse {
+        Ok(LoadedParse {
             id: parse_id.to_owned(),
             content: self.store.blobs.content(&row.content_hash),
             embeddings,
@@ -213,9 +227,7 @@ impl Service {
             instances,
             masks: models.masks,
             encoder: models.encoder,
-        });
-        self.parses.keep(&parse, changes);
-        Ok(parse)
+        })
     }
 }
 

@@ -17,10 +17,11 @@ use super::{Caller, Service};
 use crate::error::Error;
 use crate::jobs::Job;
 use crate::sample;
-use crate::store::{JobState, ParseRecord, SceneRow, SceneRowChange, Scratch, page};
+use crate::store::{JobState, ParseRecord, SceneFilter, SceneRow, SceneRowChange, Scratch, page};
 use bytes::Bytes;
 use std::convert::Infallible;
 use tokio::task::spawn_blocking;
+use uniground_types::labels::{Labels, check_labels};
 use uniground_types::placement::SceneToMap;
 use uniground_types::scenes::{Scene, SceneChange, SceneCounts, SceneList, SceneStatus};
 use uniground_types::settings::ParseSettings;
@@ -32,12 +33,13 @@ impl Service {
         self.present(self.scene_row(id).await?).await
     }
 
-    /// Scenes newest first, from `cursor` (the id the last page ended with).
+    /// Scenes that have these labels newest first, from `cursor` (the id the last page ended with).
     ///
     /// # Errors
     /// [`Error::Store`].
-    pub async fn scenes(&self, limit: u32, cursor: Option<&str>) -> Result<SceneList, Error> {
-        let (rows, next_cursor) = page(self.store.scenes(limit + 1, cursor).await?, limit, |row| &row.id);
+    pub async fn scenes(&self, limit: u32, cursor: Option<&str>, labels: Labels) -> Result<SceneList, Error> {
+        let filter = SceneFilter { ids: None, labels };
+        let (rows, next_cursor) = page(self.store.scenes(limit + 1, cursor, &filter).await?, limit, |row| &row.id);
         let mut scenes = Vec::with_capacity(rows.len());
         for row in rows {
             // Pages of scenes are looked through: what one scene was parsed with, and how that went, is asked of that scene.
@@ -62,17 +64,18 @@ impl Service {
         self.create_scene(new, body, caller).await
     }
 
-    /// Renames a scene, and says where it lies in a map.
+    /// Renames a scene, files it, and says where it lies in a map.
     ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::Invalid`] for a name or a rotation that is none.
+    /// [`Error::SceneNotFound`], [`Error::Invalid`] for a name, a label or a rotation that is none.
     pub async fn change_scene(&self, id: &str, change: SceneChange) -> Result<Scene, Error> {
-        let SceneChange { name, scene_to_map, map_frame_id } = change;
+        let SceneChange { name, scene_to_map, map_frame_id, labels } = change;
         name.iter().try_for_each(|name| check_name("/name", name))?;
         map_frame_id.iter().flatten().try_for_each(|frame_id| check_name("/map_frame_id", frame_id))?;
         scene_to_map.iter().flatten().try_for_each(SceneToMap::check)?;
+        labels.iter().try_for_each(|labels| check_labels("/labels", labels))?;
         let map_frame_id = map_frame_id.as_ref().map(Option::as_deref);
-        let change = SceneRowChange { name: name.as_deref(), scene_to_map, map_frame_id };
+        let change = SceneRowChange { name: name.as_deref(), scene_to_map, map_frame_id, labels };
         let row = self.store.change_scene(id, change).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
         self.present(row).await
     }
@@ -146,8 +149,19 @@ impl Service {
             (None, Some(JobState::Queued | JobState::Running | JobState::Succeeded)) => SceneStatus::Parsing,
             (None, Some(JobState::Failed | JobState::Cancelled)) => SceneStatus::Failed,
         };
-        let SceneRow { id, name, content_hash, parse_id: _, parse_version, job_id, scene_to_map, map_frame_id, created_at, updated_at } =
-            row;
+        let SceneRow {
+            id,
+            name,
+            content_hash,
+            parse_id: _,
+            parse_version,
+            job_id,
+            scene_to_map,
+            map_frame_id,
+            labels,
+            created_at,
+            updated_at,
+        } = row;
         let mut scene = Scene {
             id,
             name,
@@ -158,6 +172,7 @@ impl Service {
             extent: None,
             scene_to_map,
             map_frame_id,
+            labels,
             import: None,
             report: None,
             settings: None,

@@ -293,6 +293,26 @@ export interface paths {
         patch?: never;
         trace?: never;
     };
+    "/v1/ground": {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        get?: never;
+        put?: never;
+        /**
+         * Finds out in which of many scenes something is.
+         * @description Every scene is looked into without a model; those that most likely have it are asked in full, and their answers kept.
+         */
+        post: operations["ground_many"];
+        delete?: never;
+        options?: never;
+        head?: never;
+        patch?: never;
+        trace?: never;
+    };
     "/v1/jobs": {
         parameters: {
             query?: never;
@@ -461,7 +481,7 @@ export interface paths {
         delete: operations["delete_scene"];
         options?: never;
         head?: never;
-        /** Renames a scene, and says where it lies in a map. */
+        /** Renames a scene, files it under labels, and says where it lies in a map. */
         patch: operations["change_scene"];
         trace?: never;
     };
@@ -2444,6 +2464,57 @@ export interface components {
             /** @description `cpu`, `cuda`, `tensorrt`, `coreml`, or the inference server's address. */
             runs_on: string;
         };
+        /** @description What came of a question about many scenes. */
+        ManyAnswers: {
+            /** @description Best first: what is grounded before what is ambiguous, uncertain, or not there; then by confidence. */
+            answers: components["schemas"]["SceneAnswer"][];
+            /**
+             * Format: int32
+             * @description How many scenes were looked into.
+             */
+            looked_into: number;
+            /** @description Scenes that could not be asked, and why: those that are not parsed yet, for the most part. */
+            not_asked: components["schemas"]["NotAsked"][];
+            /** @description As asked. */
+            query: string;
+        };
+        /** @description A question about many scenes. */
+        ManyGroundRequest: {
+            /** @description Of those, only scenes with all of these labels. */
+            labels?: {
+                [key: string]: string;
+            };
+            /**
+             * Format: double
+             * @description Most all of it may cost, US dollars. 0: no model is asked.
+             */
+            max_cost_usd?: number | null;
+            /**
+             * Format: float
+             * @description Least belief for a `grounded` answer, as in a question about one scene.
+             */
+            min_confidence?: number | null;
+            /**
+             * @description What to find, in plain English.
+             * @example the red mug
+             */
+            query: string;
+            /** @description Who decides in those. */
+            reasoner?: components["schemas"]["ReasonerChoice"];
+            /** @description Ids of the scenes to look in; left out: all. */
+            scenes?: string[] | null;
+            /**
+             * Format: float
+             * @description Give up after this many seconds.
+             */
+            timeout_s?: number | null;
+            /**
+             * Format: int32
+             * @description How many scenes are answered in full: those that most likely have it.
+             * @default 3
+             */
+            top_k?: number;
+        };
         /**
          * @description How masks that overlap are painted.
          * @enum {string}
@@ -2602,6 +2673,15 @@ export interface components {
          * @enum {string}
          */
         Normalisation: "normalised" | "literal";
+        /** @description A scene that could not be asked. */
+        NotAsked: {
+            /** @description The code that a question about this scene alone gets. */
+            code: string;
+            /** @description What that means. */
+            detail: string;
+            /** @description UUIDv7 of the scene. */
+            scene_id: string;
+        };
         /** @description Somebody who stands in the room. */
         Observer: {
             /** @description Metres, world frame (Z up), unless a question's `frame` says otherwise. */
@@ -3434,6 +3514,10 @@ export interface components {
             import?: components["schemas"]["ImportReport"] | null;
             /** @description The latest parse job on this scene. */
             job_id?: string | null;
+            /** @description What the scene is filed under: `building`, `floor`, whatever its owner says. */
+            labels?: {
+                [key: string]: string;
+            };
             /** @description What that map's frame is called; `null` where nobody has said. */
             map_frame_id?: string | null;
             models?: components["schemas"]["ParseModels"] | null;
@@ -3452,8 +3536,26 @@ export interface components {
             /** @description When it was last changed, parsed, or asked to be, RFC 3339 UTC. */
             updated_at: string;
         };
+        /** @description The answer of one of many scenes. */
+        SceneAnswer: {
+            /** @description As a question about that scene alone is answered; kept, as any. */
+            answer: components["schemas"]["Answer"];
+            /** @description Its labels. */
+            labels: {
+                [key: string]: string;
+            };
+            /** @description Name of the scene; its id is in the answer. */
+            scene_name: string;
+        };
         /** @description What is to be different about a scene; what is left out stays. */
         SceneChange: {
+            /**
+             * @description What the scene is filed under, all of it: labels that are left out are taken away. At most 20; names of 1 to 63 letters, digits, `.`,
+             *     `_`, `-` and `/`, values of 1 to 100 characters without commas.
+             */
+            labels?: {
+                [key: string]: string;
+            } | null;
             /**
              * @description What the map's frame is called, as tf has it: a name like a scene's. `null` takes it away.
              * @example map
@@ -6178,6 +6280,314 @@ export interface operations {
             };
         };
     };
+    ground_many: {
+        parameters: {
+            query?: never;
+            header?: never;
+            path?: never;
+            cookie?: never;
+        };
+        requestBody: {
+            content: {
+                "application/json": components["schemas"]["ManyGroundRequest"];
+            };
+        };
+        responses: {
+            /** @description As asked for */
+            200: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    "application/json": components["schemas"]["ManyAnswers"];
+                };
+            };
+            /** @description The body can not be read */
+            400: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "malformed_json",
+                     *       "detail": "expected `,` or `}` at line 1 column 17",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 400,
+                     *       "title": "Bad Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description No key, or one that is not known (any more) */
+            401: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unauthorized",
+                     *       "detail": "this server wants a key: Authorization: Bearer <key>",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 401,
+                     *       "title": "Unauthorized",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The money for it is spent */
+            402: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "budget_spent",
+                     *       "detail": "the question's budget does not pay for another call",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 402,
+                     *       "title": "Payment Required",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The key may not do this */
+            403: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scope_missing",
+                     *       "detail": "this key may \"read\", this needs a key that may \"write\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 403,
+                     *       "title": "Forbidden",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description There is no such thing */
+            404: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_found",
+                     *       "detail": "there is no scene 01a1ff70-0000-7000-8000-000000000001",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 404,
+                     *       "title": "Not Found",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not as things are now */
+            409: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "scene_not_ready",
+                     *       "detail": "scene 01a1ff70-0000-7000-8000-000000000001 has not been parsed yet",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 409,
+                     *       "title": "Conflict",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The body is too large */
+            413: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "body_too_large",
+                     *       "detail": "a JSON body has at most 1048576 bytes",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 413,
+                     *       "title": "Payload Too Large",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Another content type is wanted */
+            415: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "unsupported_media_type",
+                     *       "detail": "the body must be application/json, not \"text/plain\"",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 415,
+                     *       "title": "Unsupported Media Type",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description The server is called by a name that is not its own */
+            421: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "host_not_allowed",
+                     *       "detail": "this server is not evil.example",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 421,
+                     *       "title": "Misdirected Request",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A field or parameter makes no sense */
+            422: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "invalid_request",
+                     *       "detail": "/top_k: must be 1 to 100",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 422,
+                     *       "title": "Unprocessable Entity",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Too much at once: again after `Retry-After` */
+            429: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "rate_limited",
+                     *       "detail": "this key asks too often: try again in 12 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 429,
+                     *       "title": "Too Many Requests",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description A model failed */
+            502: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "vlm_unavailable",
+                     *       "detail": "the vision-language model could not be asked, in 5 attempts: it answered 500",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 502,
+                     *       "title": "Bad Gateway",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description Not now: again after `Retry-After` */
+            503: {
+                headers: {
+                    /** @description Seconds to wait */
+                    "retry-after"?: string;
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "vlm_down",
+                     *       "detail": "the vision-language model's server is down: it is tried again in 20 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 503,
+                     *       "title": "Service Unavailable",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+            /** @description It took longer than was allowed */
+            504: {
+                headers: {
+                    [name: string]: unknown;
+                };
+                content: {
+                    /**
+                     * @example {
+                     *       "code": "question_timed_out",
+                     *       "detail": "the question took longer than 5 s",
+                     *       "errors": [],
+                     *       "request_id": "0d7a2f3e-6a51-4b5c-9d1f-2f0a64f4ad11",
+                     *       "status": 504,
+                     *       "title": "Gateway Timeout",
+                     *       "type": "about:blank"
+                     *     }
+                     */
+                    "application/problem+json": components["schemas"]["Problem"];
+                };
+            };
+        };
+    };
     list_jobs: {
         parameters: {
             query?: {
@@ -7370,6 +7780,11 @@ export interface operations {
             query?: {
                 /** @description `next_cursor` of the page before. */
                 cursor?: string;
+                /**
+                 * @description Those with all of these labels.
+                 * @example building=A,floor=2
+                 */
+                labels?: string;
                 /** @description Entries per page. */
                 limit?: number;
             };

@@ -103,10 +103,16 @@ class AsyncClient:
         """A scene by its id."""
         return AsyncScene(self, decode(models.Scene, await self.call("GET", f"/v1/scenes/{scene_id}")))
 
-    async def scenes(self) -> AsyncIterator[AsyncScene]:
-        """All scenes, newest first."""
-        async for info in self._pages("/v1/scenes", models.Scene, "scenes"):
+    async def scenes(self, labels: Optional[Mapping[str, str]] = None) -> AsyncIterator[AsyncScene]:
+        """All scenes, or those that have these labels, newest first."""
+        params = {"labels": ",".join(f"{name}={value}" for name, value in labels.items())} if labels else {}
+        async for info in self._pages("/v1/scenes", models.Scene, "scenes", params):
             yield AsyncScene(self, info)
+
+    async def find(self, query: str, **options: Unpack[models.ManyGroundOptions]) -> models.ManyAnswers:
+        """In which of many scenes something is, the likeliest first. `options` are the fields of the API's request: `labels` or `scenes`
+        say where to look, `top_k` how many scenes are answered in full."""
+        return decode(models.ManyAnswers, await self.call("POST", "/v1/ground", body={"query": query, **options}))
 
     async def answer(self, answer_id: str) -> models.Answer:
         """An answer that was given before."""
@@ -435,6 +441,10 @@ class AsyncScene:
 
     async def rename(self, name: str) -> AsyncScene:
         return await self._change({"name": name})
+
+    async def label(self, labels: Mapping[str, str]) -> AsyncScene:
+        """Files the scene under these labels, and no others."""
+        return await self._change({"labels": dict(labels)})
 
     async def place_in_map(
         self, rotation: Iterable[float], translation_m: Iterable[float], map_frame_id: Optional[str] = None

@@ -100,10 +100,16 @@ class Client:
         """A scene by its id."""
         return Scene(self, decode(models.Scene, self.call("GET", f"/v1/scenes/{scene_id}")))
 
-    def scenes(self) -> Iterator[Scene]:
-        """All scenes, newest first."""
-        for info in self._pages("/v1/scenes", models.Scene, "scenes"):
+    def scenes(self, labels: Optional[Mapping[str, str]] = None) -> Iterator[Scene]:
+        """All scenes, or those that have these labels, newest first."""
+        params = {"labels": ",".join(f"{name}={value}" for name, value in labels.items())} if labels else {}
+        for info in self._pages("/v1/scenes", models.Scene, "scenes", params):
             yield Scene(self, info)
+
+    def find(self, query: str, **options: Unpack[models.ManyGroundOptions]) -> models.ManyAnswers:
+        """In which of many scenes something is, the likeliest first. `options` are the fields of the API's request: `labels` or `scenes`
+        say where to look, `top_k` how many scenes are answered in full."""
+        return decode(models.ManyAnswers, self.call("POST", "/v1/ground", body={"query": query, **options}))
 
     def answer(self, answer_id: str) -> models.Answer:
         """An answer that was given before."""
@@ -430,6 +436,10 @@ class Scene:
 
     def rename(self, name: str) -> Scene:
         return self._change({"name": name})
+
+    def label(self, labels: Mapping[str, str]) -> Scene:
+        """Files the scene under these labels, and no others."""
+        return self._change({"labels": dict(labels)})
 
     def place_in_map(
         self, rotation: Iterable[float], translation_m: Iterable[float], map_frame_id: Optional[str] = None

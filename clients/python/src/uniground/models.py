@@ -1158,6 +1158,41 @@ class LoadedModel:
     """The library that computes; none where networks run elsewhere."""
 
 
+@dataclass
+class ManyAnswers:
+    """What came of a question about many scenes."""
+    query: str
+    """As asked."""
+    looked_into: int
+    """How many scenes were looked into."""
+    answers: list[SceneAnswer]
+    """Best first: what is grounded before what is ambiguous, uncertain, or not there; then by confidence."""
+    not_asked: list[NotAsked]
+    """Scenes that could not be asked, and why: those that are not parsed yet, for the most part."""
+
+
+class ManyGroundOptions(TypedDict, total=False):
+    """What `ManyGroundRequest` may have besides."""
+    labels: Mapping[str, str]
+    """Of those, only scenes with all of these labels."""
+    max_cost_usd: Optional[float]
+    """Most all of it may cost, US dollars. 0: no model is asked."""
+    min_confidence: Optional[float]
+    """Least belief for a `grounded` answer, as in a question about one scene."""
+    reasoner: ReasonerChoice
+    """Who decides in those."""
+    scenes: Optional[Sequence[str]]
+    """Ids of the scenes to look in; left out: all."""
+    timeout_s: Optional[float]
+    """Give up after this many seconds."""
+    top_k: int
+    """How many scenes are answered in full: those that most likely have it."""
+class ManyGroundRequest(ManyGroundOptions):
+    """A question about many scenes."""
+    query: str
+    """What to find, in plain English."""
+
+
 class MergeSettings(TypedDict, total=False):
     """How superpoints are merged into regions, stage by stage."""
     hop_decay: float
@@ -1248,6 +1283,17 @@ class NewKey(NewKeyOptions):
     """Who holds it, for people: one line of 1 to 200 characters."""
     scope: Scope
     """What it lets its holder do."""
+
+
+@dataclass
+class NotAsked:
+    """A scene that could not be asked."""
+    scene_id: str
+    """UUIDv7 of the scene."""
+    code: str
+    """The code that a question about this scene alone gets."""
+    detail: str
+    """What that means."""
 
 
 class Observer(TypedDict):
@@ -1644,6 +1690,8 @@ class Scene:
     import_: Optional[ImportReport] = None
     job_id: Optional[str] = None
     """The latest parse job on this scene."""
+    labels: Optional[dict[str, str]] = None
+    """What the scene is filed under: `building`, `floor`, whatever its owner says."""
     map_frame_id: Optional[str] = None
     """What that map's frame is called; `null` where nobody has said."""
     models: Optional[ParseModels] = None
@@ -1652,8 +1700,23 @@ class Scene:
     settings: Optional[ParseSettings] = None
 
 
+@dataclass
+class SceneAnswer:
+    """The answer of one of many scenes."""
+    scene_name: str
+    """Name of the scene; its id is in the answer."""
+    labels: dict[str, str]
+    """Its labels."""
+    answer: Answer
+    """As a question about that scene alone is answered; kept, as any."""
+
+
 class SceneChange(TypedDict, total=False):
     """What is to be different about a scene; what is left out stays."""
+    labels: Optional[Mapping[str, str]]
+    """What the scene is filed under, all of it: labels that are left out are taken away. At most 20; names of 1 to 63 letters, digits, `.`,
+    `_`, `-` and `/`, values of 1 to 100 characters without commas.
+    """
     map_frame_id: Optional[str]
     """What the map's frame is called, as tf has it: a name like a scene's. `null` takes it away."""
     name: Optional[str]
