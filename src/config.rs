@@ -262,6 +262,9 @@ pub struct LimitsConfig {
     /// Room on the disk that uploads, parses and batches leave to the rest, bytes
     #[arg(long, env = "UNIGROUND_KEEP_FREE_BYTES", default_value_t = DEFAULT_KEEP_FREE_BYTES)]
     pub keep_free_bytes: u64,
+    /// Memory that the server may come to hold; a parse that would take more is not begun. Default: its container's limit, or the machine's
+    #[arg(long, env = "UNIGROUND_MAX_MEMORY_BYTES")]
+    pub max_memory_bytes: Option<u64>,
     #[command(flatten)]
     pub retention: RetentionConfig,
 }
@@ -293,6 +296,7 @@ impl Default for LimitsConfig {
             max_concurrent_questions: DEFAULT_MAX_CONCURRENT_QUESTIONS,
             max_connections: DEFAULT_MAX_CONNECTIONS,
             keep_free_bytes: DEFAULT_KEEP_FREE_BYTES,
+            max_memory_bytes: None,
             retention: RetentionConfig::default(),
         }
     }
@@ -306,6 +310,7 @@ impl LimitsConfig {
             max_unfinished_uploads: self.max_unfinished_uploads,
             unpack: UnpackLimits { max_bytes: self.max_unpacked_bytes, ..UnpackLimits::default() },
             keep_free_bytes: self.keep_free_bytes,
+            max_memory_bytes: self.max_memory_bytes,
             max_concurrent_questions: self.max_concurrent_questions as usize,
             retention: self.retention.settings(),
         }

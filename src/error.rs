@@ -140,6 +140,11 @@ pub enum Error {
     UploadInterrupted { received: u64 },
     #[error("only {} MB are free on the server's disk", free >> 20)]
     DiskNearlyFull { free: u64 },
+    #[error(
+        "this parse wants about {} MB beside the {} MB that the server holds, and it may have {} MB: thin the cloud, or give the server more",
+        wanted >> 20, resident >> 20, most >> 20
+    )]
+    MemoryShort { wanted: u64, resident: u64, most: u64 },
     #[error("a file could not be read or written")]
     Io(#[from] io::Error),
     #[error("background work stopped unexpectedly")]
@@ -212,6 +217,7 @@ impl Error {
             Self::Store(_)
                 | Self::Io(_)
                 | Self::DiskNearlyFull { .. }
+                | Self::MemoryShort { .. }
                 | Self::Overloaded
                 | Self::AnswerNotKept
                 | Self::VlmFailed { .. }
@@ -320,6 +326,7 @@ impl Error {
             Self::TooManyUploads { .. } => "too_many_uploads",
             Self::Store(_) | Self::Io(_) | Self::AnswerNotKept => "storage_failed",
             Self::DiskNearlyFull { .. } => "storage_full",
+            Self::MemoryShort { .. } => "memory_short",
             Self::Background(_) => "internal",
         }
     }

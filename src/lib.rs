@@ -8,6 +8,7 @@ pub mod evaluation;
 pub mod http;
 pub mod inference;
 pub mod jobs;
+mod memory;
 pub mod metrics;
 pub mod packages;
 pub mod packing;

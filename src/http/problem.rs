@@ -186,7 +186,7 @@ fn status_of(error: &Error) -> StatusCode {
         Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
         Error::TooManyScenes { .. } | Error::KeyRefused | Error::ImportNotAllowed => StatusCode::FORBIDDEN,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
-        Error::DiskNearlyFull { .. } => StatusCode::INSUFFICIENT_STORAGE,
+        Error::DiskNearlyFull { .. } | Error::MemoryShort { .. } => StatusCode::INSUFFICIENT_STORAGE,
         Error::Overloaded | Error::TooMany { .. } | Error::TooManyUploads { .. } => StatusCode::TOO_MANY_REQUESTS,
         Error::ParseDamaged { .. } | Error::VlmDown { .. } => StatusCode::SERVICE_UNAVAILABLE,
         Error::UploadTooSlow { .. } => StatusCode::REQUEST_TIMEOUT,

@@ -1,9 +1,9 @@
 //! The process itself, under the names every exporter uses for that.
 
 use super::FloatGauge;
+use crate::memory::Memory;
 use prometheus_client::metrics::gauge::Gauge;
 use prometheus_client::registry::{Registry, Unit};
-use std::fs;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 /// Since when the process runs, and what it holds.
@@ -37,9 +37,6 @@ impl Process {
 
     /// Brings the gauges up to date. Where the system does not tell, they stay 0.
     pub(super) fn look(&self) {
-        let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
-        let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
-        let kilobytes = resident.and_then(|rest| rest.split_whitespace().next()?.parse::<i64>().ok());
-        self.resident.set(kilobytes.unwrap_or(0) * 1024);
+        self.resident.set(Memory::now().and_then(|memory| memory.resident.try_into().ok()).unwrap_or(0));
     }
 }

@@ -39,6 +39,7 @@ pub use vlm::{Vlm, VlmSettings, WhenNamed};
 use crate::error::Error;
 use crate::inference::Probe;
 use crate::jobs::{JobFailure, Jobs};
+use crate::memory::Memory;
 use crate::metrics::Metrics;
 use crate::store::Store;
 use answers::BeingAnswered;
@@ -71,6 +72,8 @@ pub struct Limits {
     pub unpack: UnpackLimits,
     /// Room on the disk that uploads, parses and batches leave to the rest.
     pub keep_free_bytes: u64,
+    /// Memory the process may come to hold; `None`: what the system lets it have.
+    pub max_memory_bytes: Option<u64>,
     /// Questions being answered at once; more wait their turn, shortly.
     pub max_concurrent_questions: usize,
     pub retention: Retention,
@@ -190,6 +193,13 @@ impl Service {
     fn check_disk(&self, bytes: u64) -> Result<(), Error> {
         let free = self.store.free_bytes()?;
         if free < self.limits.keep_free_bytes.saturating_add(bytes) { Err(Error::DiskNearlyFull { free }) } else { Ok(()) }
+    }
+
+    /// Whether there is memory for something that takes so much. Where the system does not tell, it is believed; blocks.
+    fn check_memory(&self, wanted: u64) -> Result<(), Error> {
+        let Some(Memory { resident, most }) = Memory::now() else { return Ok(()) };
+        let most = self.limits.max_memory_bytes.unwrap_or(most);
+        if resident.saturating_add(wanted) > most { Err(Error::MemoryShort { wanted, resident, most }) } else { Ok(()) }
     }
 
     /// Waits for one of the bounded places at work on questions; not for long.

@@ -125,6 +125,22 @@ async fn old_answers_go_and_new_ones_stay() {
     store.close().await;
 }
 
+/// A scan that is too large is one scan that is not parsed, and not the end of the server.
+#[tokio::test]
+async fn a_parse_that_wants_too_much_memory_is_not_begun() {
+    let limits = LimitsConfig { max_memory_bytes: Some(1 << 20), ..LimitsConfig::default() };
+    let server = TestServer::start_with(limits).await;
+    let client = &server.client;
+    let job = client.create_scene(None, "application/zip", Scan::neutral().zip()).await.unwrap().job.unwrap();
+    let job = finished(client, &job.id).await;
+    // Others may have let go of theirs meanwhile.
+    assert_eq!((job.state, job.attempts), (JobState::Failed, 3));
+    let error = job.error.unwrap();
+    assert_eq!(error.code, "memory_short");
+    assert!(error.detail.contains("and it may have 1 MB"), "{}", error.detail);
+    server.stop().await;
+}
+
 /// Before the disk is full nothing new is taken, and what is there goes on.
 #[tokio::test]
 async fn a_disk_that_is_nearly_full_takes_no_more_scans() {

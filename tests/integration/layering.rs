@@ -22,7 +22,7 @@ const PACKAGES: [(&str, Floors); 3] = [
             &["jobs"],
             &["store"],
             &["chat", "inference", "metrics", "packages", "packing", "sample", "webhook", "words"],
-            &["trace_context"],
+            &["memory", "trace_context"],
         ],
     ),
     (

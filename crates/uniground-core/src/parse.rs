@@ -12,6 +12,7 @@ use crate::scene_parsing::masks::sam::{EncodedFrames, SamMasks};
 use crate::scene_parsing::masks::{MaskSource, Together};
 use crate::scene_parsing::{self, ParseError, Perception, StageOutcome, Stopwatch};
 use camino::Utf8Path;
+use uniground_types::scene::StageReport;
 use uniground_types::settings::{ImportSettings, ModelChoice, ParseModels, ParseSettings, PartChoice};
 
 /// Raised when stage 1 changes what it computes: older parses are kept, but not taken for new ones.
@@ -71,17 +72,84 @@ pub fn parse_scan(
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<ParsedScan, ScanError> {
-    match parse_with(content, settings, &chosen(settings.models, models), checkpoints, progress) {
-        Err(ScanError::Parse(ParseError::Model(error))) if settings.models.allow_builtin => {
-            let mut scan = parse_with(content, settings, &chosen(BUILTIN, models), checkpoints, progress)?;
+    let imported = share_of_import(&chosen(settings.models, models));
+    let scan = import_scan(content, &settings.import, checkpoints, &progress.part(0.0, imported))?;
+    cut_scan(scan, settings, models, checkpoints, &progress.part(imported, 1.0))
+}
+
+/// How much of the time of a parse with these models goes into the import: networks take nearly all of it where they take part.
+#[must_use]
+pub fn share_of_import(models: &Models) -> f32 {
+    if models.loaded.is_empty() { 0.25 } else { 0.01 }
+}
+
+/// A scan that was brought in, to be cut into instances.
+pub struct ImportedScan {
+    bundle: SceneBundle,
+    stages: Vec<StageReport>,
+}
+
+/// Bytes that stage 1 takes for a point, beside the point itself: measured with clouds of one to eight million (105 at most).
+const BYTES_PER_POINT: u64 = 120;
+/// Bytes it takes for a pixel of a frame that is looked at, one a thread.
+const BYTES_PER_PIXEL: u64 = 64;
+
+impl ImportedScan {
+    /// What cutting it will take in the present pool of threads, bytes, without what networks take: an estimate.
+    #[must_use]
+    pub fn memory_wanted(&self) -> u64 {
+        let (_, frames) = self.bundle.in_all();
+        let pixels = |frame: &FrameRef| u64::from(frame.colour_intrinsics.width) * u64::from(frame.colour_intrinsics.height);
+        let largest = frames.iter().map(pixels).max().unwrap_or(0);
+        self.bundle.points() as u64 * BYTES_PER_POINT + largest * BYTES_PER_PIXEL * rayon::current_num_threads() as u64
+    }
+}
+
+/// Import of an unpacked scan: reads or fuses its cloud, and checks that cloud, poses and depth agree; blocks.
+///
+/// # Errors
+/// [`ScanError::Ingest`], also when the work was cancelled.
+pub fn import_scan(
+    content: &Utf8Path,
+    settings: &ImportSettings,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+) -> Result<ImportedScan, ScanError> {
+    let mut watch = Stopwatch::default();
+    let bundle = watch.time("import", |outcome| {
+        let (bundle, reused) = import(content, settings, checkpoints, progress)?;
+        *outcome = StageOutcome { produced: bundle.points(), reused };
+        Ok::<_, ScanError>(bundle)
+    })?;
+    Ok(ImportedScan { bundle, stages: watch.stages })
+}
+
+/// Stage 1 of a scan that was brought in; blocks, and uses the threads of the rayon pool it is called in.
+///
+/// # Errors
+/// [`ScanError`], also when the work was cancelled.
+pub fn cut_scan(
+    scan: ImportedScan,
+    settings: &ParseSettings,
+    models: &Models,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+) -> Result<ParsedScan, ScanError> {
+    let ImportedScan { bundle, stages } = scan;
+    let again = settings.models.allow_builtin.then(|| bundle.clone());
+    let mut scan = match (cut_with(bundle, settings, &chosen(settings.models, models), checkpoints, progress), again) {
+        (Err(ScanError::Parse(ParseError::Model(error))), Some(bundle)) => {
+            let mut scan = cut_with(bundle, settings, &chosen(BUILTIN, models), checkpoints, progress)?;
             scan.scene
                 .report
                 .warnings
                 .push(format!("a model failed and the built-in parts did the work: {error}"));
-            Ok(scan)
+            scan
         }
-        parsed => parsed,
-    }
+        (cut, _) => cut?,
+    };
+    scan.scene.report.stages.splice(0..0, stages);
+    Ok(scan)
 }
 
 /// A scan and what was added to it since; the flag tells whether all of it was kept from before.
@@ -123,21 +191,13 @@ fn import(
     Ok((bundle, all_reused))
 }
 
-fn parse_with(
-    content: &Utf8Path,
+fn cut_with(
+    bundle: SceneBundle,
     settings: &ParseSettings,
     models: &Models,
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<ParsedScan, ScanError> {
-    let mut watch = Stopwatch::default();
-    let imported = if models.loaded.is_empty() { 0.25 } else { 0.01 };
-    let bundle = watch.time("import", |outcome| {
-        let (bundle, reused) = import(content, &settings.import, checkpoints, &progress.part(0.0, imported))?;
-        *outcome =
-            StageOutcome { produced: bundle.additions.last().map_or(bundle.cloud.len(), |last| last.kept.len() + last.new.len()), reused };
-        Ok::<_, ScanError>(bundle)
-    })?;
     let (import, frames) = bundle.in_all();
     let names = names_of(models);
     let parsing = &settings.parsing;
@@ -164,7 +224,6 @@ fn parse_with(
             .map(|frames| Corrector { frames, settings: parsing.correction }),
         encoder: models.encoder.as_deref(),
     };
-    let mut scene = scene_parsing::parse(bundle, &perception, parsing, checkpoints, &progress.part(imported, 1.0))?;
-    scene.report.stages.splice(0..0, watch.stages);
+    let scene = scene_parsing::parse(bundle, &perception, parsing, checkpoints, progress)?;
     Ok(ParsedScan { import, frames, scene, models: names })
 }

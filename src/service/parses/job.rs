@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 use std::time::{Duration, Instant};
 use tokio::task::spawn_blocking;
 use uniground_core::ingest::Grown;
-use uniground_core::parse::{ParsedScan, STAGE_1_VERSION, parse_scan};
+use uniground_core::parse::{ParsedScan, STAGE_1_VERSION, chosen, cut_scan, import_scan, share_of_import};
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
 
@@ -86,12 +86,17 @@ impl Service {
         // Networks take nearly all of the time where they take part.
         let parsed_by = if self.models.loaded.is_empty() { 0.9 } else { 0.99 };
         let (blobs, pool, models, job_settings) = (self.store.blobs.clone(), self.parsing.clone(), self.models.clone(), settings.clone());
-        let (entered, scan_folder, parsing) = (span.clone(), content.clone(), progress.part(0.0, parsed_by));
+        let (service, entered, scan_folder, parsing) = (self.clone(), span.clone(), content.clone(), progress.part(0.0, parsed_by));
         let work = move || {
             let _entered = entered.enter();
             let checkpoints = Checkpoints::kept_in(&blobs.use_checkpoints(&hash)?, &origin);
+            let imported = share_of_import(&chosen(job_settings.models, &models));
             // In the pool of parses: what it does in parallel stays there, and gives way.
-            Ok::<_, Error>(pool.install(|| parse_scan(&scan_folder, &job_settings, &models, &checkpoints, &parsing))?)
+            pool.install(|| {
+                let scan = import_scan(&scan_folder, &job_settings.import, &checkpoints, &parsing.part(0.0, imported))?;
+                service.check_memory(scan.memory_wanted())?;
+                Ok::<_, Error>(cut_scan(scan, &job_settings, &models, &checkpoints, &parsing.part(imported, 1.0))?)
+            })
         };
         let mut scan = spawn_blocking(work).await??;
         // What people say of the scene from here on is of the parse that is being written.

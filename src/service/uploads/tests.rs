@@ -30,6 +30,7 @@ impl Rested {
             max_unfinished_uploads: 10,
             unpack: UnpackLimits::default(),
             keep_free_bytes: 0,
+            max_memory_bytes: None,
             max_concurrent_questions: 1,
             retention: Retention::default(),
         };

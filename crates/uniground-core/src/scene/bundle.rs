@@ -69,6 +69,12 @@ impl SceneBundle {
         (report, frames)
     }
 
+    /// Points of the cloud with everything that was added.
+    #[must_use]
+    pub fn points(&self) -> usize {
+        self.additions.last().map_or(self.cloud.len(), |last| last.kept.len() + last.new.len())
+    }
+
     /// The number that the frames of the next addition begin with.
     #[must_use]
     pub fn next_frame(&self) -> u32 {

@@ -1,0 +1,38 @@
+//! What memory this process has and may have.
+
+use sysinfo::{MemoryRefreshKind, ProcessRefreshKind, ProcessesToUpdate, RefreshKind, System, get_current_pid};
+
+/// Bytes of memory.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Memory {
+    /// What of this process is not swapped out.
+    pub resident: u64,
+    /// What it may have: its container's limit, or all of the machine's.
+    pub most: u64,
+}
+
+impl Memory {
+    /// As it is now; `None` where the system does not tell.
+    #[must_use]
+    pub fn now() -> Option<Self> {
+        let id = get_current_pid().ok()?;
+        let of_machine = RefreshKind::nothing().with_memory(MemoryRefreshKind::nothing().with_ram());
+        let mut system = System::new_with_specifics(of_machine).ok()?;
+        system.refresh_processes_specifics(ProcessesToUpdate::Some(&[id]), false, ProcessRefreshKind::nothing().with_memory());
+        let process = system.process(id)?;
+        let of_machine = system.total_memory();
+        let most = process.cgroup_limits().map_or(of_machine, |limits| limits.total_memory.min(of_machine));
+        Some(Self { resident: process.memory(), most })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_process_has_less_than_it_may_have() {
+        let Memory { resident, most } = Memory::now().unwrap();
+        assert!((1 << 20..most).contains(&resident), "{resident} of {most}");
+    }
+}
