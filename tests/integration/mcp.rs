@@ -39,7 +39,10 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
 
     let tools = result(client, "tools/list", json!({})).await;
     let names: Vec<&str> = tools["tools"].as_array().unwrap().iter().map(|tool| tool["name"].as_str().unwrap()).collect();
-    assert_eq!(names, ["list_scenes", "ground", "list_objects", "get_object", "relations", "approach", "render_view"]);
+    assert_eq!(
+        names,
+        ["list_scenes", "ground", "find_in_scenes", "list_objects", "get_object", "relations", "approach", "render_view"]
+    );
     let text = tools.to_string();
     assert!(!text.contains("#/components/"), "schemas are whole");
 
@@ -53,6 +56,13 @@ async fn an_agent_finds_the_mug_and_where_to_stand_for_it() {
     let as_text: Value = serde_json::from_str(answer["content"][0]["text"].as_str().unwrap()).unwrap();
     assert_eq!(&as_text, found);
     let mug = found["targets"][0]["id"].as_u64().unwrap();
+
+    let anywhere = call(client, "find_in_scenes", json!({"query": "the mug on the coffee table"})).await;
+    let anywhere = &anywhere["structuredContent"];
+    assert_eq!((&anywhere["looked_into"], &anywhere["found"][0]["scene_id"]), (&json!(1), &json!(scene.id)), "{anywhere:#}");
+    assert_eq!(anywhere["found"][0]["targets"][0]["id"], mug);
+    let elsewhere = call(client, "find_in_scenes", json!({"query": "the mug", "labels": {"floor": "9"}})).await;
+    assert_eq!(elsewhere["structuredContent"]["found"], json!([]));
 
     let listed = call(client, "list_objects", json!({"scene_id": scene.id, "name": "mug"})).await;
     assert!(

@@ -62,7 +62,8 @@ async def parsed(url: str) -> str:
 async def asks(client: Client, scene: str) -> None:
     """Every tool once, as an agent would use them."""
     tools = {tool.name: tool for tool in (await client.list_tools()).tools}
-    assert set(tools) == {"list_scenes", "ground", "list_objects", "get_object", "relations", "approach", "render_view"}, tools
+    here = {"ground", "list_objects", "get_object", "relations", "approach", "render_view"}
+    assert set(tools) == {"list_scenes", "find_in_scenes", *here}, tools
 
     async def call(name: str, **arguments: object) -> Any:
         result = await client.call_tool(name, arguments)
@@ -75,6 +76,8 @@ async def asks(client: Client, scene: str) -> None:
     answer = await call("ground", scene_id=scene, query="the mug on the coffee table")
     assert answer.structured_content["status"] == "grounded", answer
     mug = answer.structured_content["targets"][0]["id"]
+    anywhere = await call("find_in_scenes", query="the mug on the coffee table")
+    assert anywhere.structured_content["found"][0]["scene_id"] == scene, anywhere
     everything = await call("list_objects", scene_id=scene)
     assert any(one["instance_id"] == mug for one in everything.structured_content["objects"])
     shown = await call("get_object", scene_id=scene, instance_id=mug)

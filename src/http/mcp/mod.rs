@@ -28,8 +28,8 @@ use tokio_util::sync::CancellationToken;
 use uniground_types::problem::Problem;
 
 const INSTRUCTIONS: &str = "Finds things in scanned rooms by plain words. Start with list_scenes; ground answers a question with a 3D box; \
-    lengths are metres, Z is up, boxes are centre and full extent. Instance ids belong to one scene. A status other than grounded means that \
-    the thing is not surely known: ask the person, or look with render_view.";
+    find_in_scenes tells in which scene something is. Lengths are metres, Z is up, boxes are centre and full extent. Instance ids belong to \
+    one scene. A status other than grounded means that the thing is not surely known: ask the person, or look with render_view.";
 
 /// A message has at most so many bytes: what is no method is told again, and logged.
 const MOST_BYTES: usize = 64 << 10;
@@ -144,8 +144,8 @@ impl ServerHandler for Mcp {
 #[schema(value_type = Object, example = json!({"jsonrpc": "2.0", "id": 1, "method": "tools/list"}))]
 pub(super) struct Message(#[expect(dead_code, reason = "only its schema is used")] serde_json::Value);
 
-/// The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `list_objects`, `get_object`, `relations`, `approach` and
-/// `render_view`, and scenes and reports as resources.
+/// The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `find_in_scenes`, `list_objects`, `get_object`,
+/// `relations`, `approach` and `render_view`, and scenes and reports as resources.
 ///
 /// Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions; answers are JSON. A call a POST; nothing is sent unasked.
 #[utoipa::path(

@@ -2,8 +2,8 @@
 
 use super::schema;
 use super::values::{
-    Approach, Ground, Grounded, ListObjects, ListScenes, MOST_MARKED, ObjectBrief, ObjectBriefs, OneObject, Relations, RenderView,
-    SceneBrief, SceneBriefs, ViewKind,
+    Approach, FindInScenes, FoundBriefs, Ground, Grounded, ListObjects, ListScenes, MOST_MARKED, ObjectBrief, ObjectBriefs, OneObject,
+    Relations, RenderView, SceneBrief, SceneBriefs, ViewKind,
 };
 use crate::error::Error;
 use crate::http::paging;
@@ -35,6 +35,7 @@ pub(super) fn all() -> Vec<Tool> {
             "ground",
             "Finds what a sentence means in a scene, and gives its 3D box: \"the black chair closest to the door\". Says so where nothing or several things fit.",
         ),
+        tool::<FindInScenes, FoundBriefs>("find_in_scenes", "Finds out in which of all scenes something is."),
         tool::<ListObjects, ObjectBriefs>("list_objects", "What was found in a scene: names, boxes, and what stands on what."),
         tool::<OneObject, InstanceView>(
             "get_object",
@@ -66,6 +67,7 @@ pub(super) async fn call(service: &Service, caller: Caller, name: &str, argument
     let result = match name {
         "list_scenes" => list_scenes(service, arguments).await,
         "ground" => ground(service, caller, arguments).await,
+        "find_in_scenes" => find_in_scenes(service, caller, arguments).await,
         "list_objects" => list_objects(service, arguments).await,
         "get_object" => get_object(service, arguments).await,
         "relations" => relations(service, arguments).await,
@@ -124,6 +126,11 @@ async fn list_scenes(service: &Service, arguments: JsonObject) -> Result<CallToo
 async fn ground(service: &Service, caller: Caller, arguments: JsonObject) -> Result<CallToolResult, Error> {
     let (scene_id, request) = read::<Ground>(arguments)?.request();
     told(&Grounded::from(service.ground(&scene_id, request, caller).await?))
+}
+
+async fn find_in_scenes(service: &Service, caller: Caller, arguments: JsonObject) -> Result<CallToolResult, Error> {
+    let request = read::<FindInScenes>(arguments)?.request();
+    told(&FoundBriefs::from(service.ground_many(request, caller).await?))
 }
 
 async fn list_objects(service: &Service, arguments: JsonObject) -> Result<CallToolResult, Error> {

@@ -1,10 +1,12 @@
 //! What tools take and tell: less than the API does, as language models read every word.
 
 use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 use uniground_types::answer::{Alternative, Answer, NoMatchReason, Seen, Status, Target};
 use uniground_types::approach::{ApproachRequest, FloorPoint, Robot};
 use uniground_types::geometry::boxes::Aabb;
 use uniground_types::instances::{InstanceView, Levels};
+use uniground_types::many::{ManyAnswers, ManyGroundRequest, SceneAnswer};
 use uniground_types::placement::{FrameChoice, InFrame, Observer};
 use uniground_types::question::GroundRequest;
 use uniground_types::scene::{InstanceId, Level, Structure, Support};
@@ -33,6 +35,8 @@ pub(super) struct SceneBrief {
     pub extent: Option<Aabb>,
     /// What the map is called that the scene lies in; `null` where nobody has said.
     pub map_frame_id: Option<String>,
+    /// What it is filed under, such as a building and a floor.
+    pub labels: BTreeMap<String, String>,
     pub created_at: String,
 }
 
@@ -46,8 +50,9 @@ pub(super) struct SceneBriefs {
 
 impl From<Scene> for SceneBrief {
     fn from(scene: Scene) -> Self {
-        let Scene { id, name, status, counts, extent, map_frame_id, created_at, .. } = scene;
-        Self { scene_id: id, name, status, instances: counts.map(|counts| counts.instances), extent, map_frame_id, created_at }
+        let Scene { id, name, status, counts, extent, map_frame_id, labels, created_at, .. } = scene;
+        let instances = counts.map(|counts| counts.instances);
+        Self { scene_id: id, name, status, instances, extent, map_frame_id, labels, created_at }
     }
 }
 
@@ -117,6 +122,60 @@ impl From<Answer> for Grounded {
             in_frame,
             answer_id: id,
         }
+    }
+}
+
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+pub(super) struct FindInScenes {
+    /// What to find, in plain English: "the red mug".
+    #[schema(min_length = 1, max_length = 2000)]
+    pub query: String,
+    /// Look only in scenes with all of these labels; left out, in all.
+    #[serde(default)]
+    pub labels: BTreeMap<String, String>,
+}
+
+impl FindInScenes {
+    pub fn request(self) -> ManyGroundRequest {
+        let Self { query, labels } = self;
+        ManyGroundRequest { labels, ..ManyGroundRequest::of(query) }
+    }
+}
+
+/// What one of many scenes answers.
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct FoundBrief {
+    pub scene_id: String,
+    pub scene_name: String,
+    /// `grounded`: `targets` has it. `uncertain`: likely, not surely. `ambiguous`: several there fit alike. `no_match`: nothing there fits.
+    pub status: Status,
+    /// Belief in that, `0..=1`.
+    pub confidence: f32,
+    /// Why, in words.
+    pub explanation: String,
+    /// What is meant, best first, with boxes in metres, Z up.
+    pub targets: Vec<Target>,
+}
+
+#[derive(Debug, Serialize, ToSchema)]
+pub(super) struct FoundBriefs {
+    /// The scenes that most likely have it, best first.
+    pub found: Vec<FoundBrief>,
+    /// How many scenes were looked into.
+    pub looked_into: u32,
+    /// How many could not be.
+    pub not_asked: u32,
+}
+
+impl From<ManyAnswers> for FoundBriefs {
+    fn from(answers: ManyAnswers) -> Self {
+        let brief = |SceneAnswer { scene_name, answer, .. }| {
+            let Answer { scene_id, status, confidence, answer, targets, .. } = answer;
+            FoundBrief { scene_id, scene_name, status, confidence, explanation: answer.explanation, targets }
+        };
+        let ManyAnswers { looked_into, answers, not_asked, .. } = answers;
+        Self { found: answers.into_iter().map(brief).collect(), looked_into, not_asked: not_asked.len() as u32 }
     }
 }
 

@@ -136,9 +136,28 @@ pub async fn read_frame_embeddings(parse: &Utf8Path) -> Result<Option<FrameEmbed
 pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &Progress) -> Result<(), Error> {
     let (parsed, parse) = (&scan.scene, folder.path());
     writing.report("write_clouds", 0.0).map_err(ParseError::from)?;
+    let points = || Ok(write_even_points(&parsed.cloud, &parsed.instance_of_point, File::create(ParseFile::Points.of(parse))?)?);
+    let (points, rest) = rayon::join(points, || write_rest(scan, content, parse, writing));
+    points.and(rest)?;
+    writing.check().map_err(ParseError::from)?;
+    fs::create_dir(parse.join(VIEWS))?;
+    let shown: BTreeSet<FrameIndex> = parsed.instances.iter().flat_map(|instance| &instance.views).map(|view| view.frame).collect();
+    for frame in scan.frames.iter().filter(|frame| shown.contains(&frame.index)) {
+        let file = photograph(parse, frame.index);
+        // What views say of pixels is said of pinhole pictures.
+        match frame.optics.colour_lens {
+            None => drop(fs::copy(&frame.colour, file)?),
+            Some(_) => fs::write(file, jpeg(&frame.decode_colour().map_err(ParseError::from)?))?,
+        }
+    }
+    Ok(())
+}
+
+/// All but the order of the points, which takes as long as all of this.
+fn write_rest(scan: &ParsedScan, content: &Utf8Path, parse: &Utf8Path, writing: &Progress) -> Result<(), Error> {
+    let parsed = &scan.scene;
     write_cloud_ply(&parsed.cloud, File::create(ParseFile::Cloud.of(parse))?)?;
     write_instances_ply(parsed, File::create(ParseFile::Instances.of(parse))?)?;
-    write_even_points(&parsed.cloud, &parsed.instance_of_point, File::create(ParseFile::Points.of(parse))?)?;
     write_frames(&scan.frames, content, parse)?;
     if let Some(embeddings) = &parsed.embeddings {
         embeddings.write_rows(File::create(ParseFile::Embeddings.of(parse))?)?;
@@ -154,17 +173,5 @@ pub fn write(scan: &ParsedScan, content: &Utf8Path, folder: &Scratch, writing: &
         ParseFile::Thumbnail.of(parse),
         report_pictures::thumbnail(&RenderScene::of_parsed(parsed.cloud.clone(), &parsed.instances), &parsed.extent),
     )?;
-    super::report_files::write(parse, report_pictures::render(parsed, &scan.frames, writing)?)?;
-    writing.check().map_err(ParseError::from)?;
-    fs::create_dir(parse.join(VIEWS))?;
-    let shown: BTreeSet<FrameIndex> = parsed.instances.iter().flat_map(|instance| &instance.views).map(|view| view.frame).collect();
-    for frame in scan.frames.iter().filter(|frame| shown.contains(&frame.index)) {
-        let file = photograph(parse, frame.index);
-        // What views say of pixels is said of pinhole pictures.
-        match frame.optics.colour_lens {
-            None => drop(fs::copy(&frame.colour, file)?),
-            Some(_) => fs::write(file, jpeg(&frame.decode_colour().map_err(ParseError::from)?))?,
-        }
-    }
-    Ok(())
+    super::report_files::write(parse, report_pictures::render(parsed, &scan.frames, writing)?)
 }

@@ -31,8 +31,8 @@ export interface paths {
         get?: never;
         put?: never;
         /**
-         * The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `list_objects`, `get_object`, `relations`, `approach` and
-         *     `render_view`, and scenes and reports as resources.
+         * The Model Context Protocol, for agents: the tools `list_scenes`, `ground`, `find_in_scenes`, `list_objects`, `get_object`,
+         *     `relations`, `approach` and `render_view`, and scenes and reports as resources.
          * @description Streamable HTTP, revisions 2024-11-05 to 2026-07-28, without sessions; answers are JSON. A call a POST; nothing is sent unasked.
          */
         post: operations["mcp"];

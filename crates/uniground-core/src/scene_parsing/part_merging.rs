@@ -47,10 +47,17 @@ pub fn join(
         return Ok(region_of);
     }
     progress.report("join_parts", 0.0)?;
-    let parts = Joining { cloud, superpoints, settings, progress };
-    let region_of = parts.join_by(region_of, |part, whole| is_leg(settings, part) && carries(part, whole))?;
-    let region_of = parts.join_by(region_of, |part, whole| is_back(settings, part, whole))?;
-    parts.join_by(region_of, is_foot)
+    let joining = Joining { cloud, superpoints, settings, progress };
+    let is_leg = |part: &Part, whole: &Part| is_leg(settings, part) && carries(part, whole);
+    let is_back = |part: &Part, whole: &Part| is_back(settings, part, whole);
+    let rules: [&dyn Fn(&Part, &Part) -> bool; 3] = [&is_leg, &is_back, &is_foot];
+    let count = region_of.iter().max().map_or(0, |&region| region as usize + 1);
+    let (mut region_of, mut known) = (region_of, vec![None; count]);
+    for rule in rules {
+        let parts = joining.parts(&region_of, known)?;
+        (region_of, known) = joining.join_by(region_of, &parts, rule);
+    }
+    Ok(region_of)
 }
 
 struct Joining<'a> {
@@ -61,9 +68,9 @@ struct Joining<'a> {
 }
 
 impl Joining<'_> {
-    /// `rule(part, whole)` says which neighbours a region is a part of; it joins the one of them with which it shares most border.
-    fn join_by(&self, region_of: Vec<u32>, rule: impl Fn(&Part, &Part) -> bool) -> Result<Vec<u32>, Cancelled> {
-        let parts = self.parts(&region_of)?;
+    /// `rule(part, whole)` says which neighbours a region is a part of; it joins the one of them with which it shares most border. Answers
+    /// the new regions, and what is known of those that are as they were.
+    fn join_by(&self, region_of: Vec<u32>, parts: &[Part], rule: &dyn Fn(&Part, &Part) -> bool) -> (Vec<u32>, Vec<Option<Part>>) {
         let mut contacts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
         for &(a, b) in &self.superpoints.adjacent {
             let (a, b) = (region_of[a as usize], region_of[b as usize]);
@@ -86,17 +93,30 @@ impl Joining<'_> {
         for (part, (_, std::cmp::Reverse(whole))) in best {
             sets.union(part, whole);
         }
-        let (labels, _) = sets.into_labels();
-        Ok(region_of.into_iter().map(|r| labels[r as usize]).collect())
+        let (labels, count) = sets.into_labels();
+        let mut joined = vec![0; count];
+        labels.iter().for_each(|&label| joined[label as usize] += 1);
+        let mut known = vec![None; count];
+        for (part, &label) in parts.iter().zip(&labels).filter(|(_, label)| joined[**label as usize] == 1) {
+            known[label as usize] = Some(part.clone());
+        }
+        (region_of.into_iter().map(|r| labels[r as usize]).collect(), known)
     }
 
-    fn parts(&self, region_of: &[u32]) -> Result<Vec<Part>, Cancelled> {
-        let count = region_of.iter().max().map_or(0, |&r| r as usize + 1);
-        let mut members: Vec<Vec<Point3<f32>>> = vec![Vec::new(); count];
+    /// What every region is like, given what is known of some.
+    fn parts(&self, region_of: &[u32], known: Vec<Option<Part>>) -> Result<Vec<Part>, Cancelled> {
+        let mut members: Vec<Vec<Point3<f32>>> = vec![Vec::new(); known.len()];
         for (p, &superpoint) in self.cloud.positions.iter().zip(&self.superpoints.of_point) {
-            members[region_of[superpoint as usize] as usize].push(*p);
+            let region = region_of[superpoint as usize] as usize;
+            if known[region].is_none() {
+                members[region].push(*p);
+            }
         }
-        members.par_iter().map(|positions| self.progress.check().map(|()| Part::of(positions))).collect()
+        let part = |(known, positions): (Option<Part>, &Vec<Point3<f32>>)| {
+            self.progress.check()?;
+            Ok(known.unwrap_or_else(|| Part::of(positions)))
+        };
+        known.into_par_iter().zip(&members).map(part).collect()
     }
 }
 
