@@ -10,11 +10,12 @@ use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 /// Stages of a parse as their reports name them; what a report of tomorrow adds counts together until it is named here.
-const STAGES: [&str; 11] = [
+const STAGES: [&str; 13] = [
     "import",
     "superpoints",
     "planes",
     "masks_and_lifting",
+    "growth",
     "merging",
     "part_merging",
     "hierarchy",
@@ -22,6 +23,7 @@ const STAGES: [&str; 11] = [
     "views",
     "instances",
     "appearance",
+    "frame_appearance",
 ];
 /// What may come of a question.
 const STATUSES: [&str; 5] = ["grounded", "uncertain", "ambiguous", "no_match", "failed"];

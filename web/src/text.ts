@@ -75,7 +75,7 @@ export const t = {
       scene_empty: "The archive has neither frames nor points.",
       cloud_empty: "No points came out. Check depth pictures and their scale.",
       convention_mismatch: "Say in a scene.json how poses, axes and depth are to be read: the message names the reading that fits.",
-      frame_unreadable: "Replace the picture it names: JPEG or PNG, depth as 16-bit PNG.",
+      frame_unreadable: "Replace the picture it names: JPEG or PNG; depth as 16-bit PNG, EXR or TIFF.",
       model_failed: "Try again; if it fails again, whoever runs the service finds the cause in its log.",
       scene_not_ready: "Wait until the scan is parsed.",
       vlm_not_configured: "This server has no vision-language model: choose the built-in reasoner.",

@@ -14,7 +14,7 @@ use uniground_core::progress::Progress;
 use uniground_core::scene::{FrameRef, Instance, InstanceId, Owners, PointCloud, correct, read_instance_of_point};
 use uniground_types::changes::Changes;
 use uniground_types::corrections::Correction;
-use uniground_types::settings::ParsingSettings;
+use uniground_types::settings::InstanceSettings;
 
 /// The parse a scene has had.
 pub(super) struct Previous {
@@ -56,8 +56,7 @@ impl Previous {
     ///
     /// # Errors
     /// Unreadable frames, and calling off.
-    pub fn continue_in(self, scan: &mut ParsedScan, progress: &Progress) -> Result<Inherited, Error> {
-        let settings = ParsingSettings::default().instances;
+    pub fn continue_in(self, scan: &mut ParsedScan, settings: &InstanceSettings, progress: &Progress) -> Result<Inherited, Error> {
         let Some((cloud, of_point)) = self.points() else {
             tracing::warn!(
                 parse_id = self.parse_id,
@@ -65,13 +64,13 @@ impl Previous {
             );
             let same = identical(&self.found, &scan.scene.instances);
             scan.scene = continued(&self.found, scan.scene.clone(), &same);
-            let corrections = carried(&self.corrections, &mut scan.scene, &settings);
+            let corrections = carried(&self.corrections, &mut scan.scene, settings);
             return Ok(Inherited { parse_id: self.parse_id, changes: Changes::default(), corrections });
         };
         let counterparts = Counterparts::same_points(&cloud.positions, &scan.scene.cloud.positions);
         let same = pairs(&of_point, &scan.scene.instance_of_point, &counterparts);
         scan.scene = continued(&self.found, scan.scene.clone(), &same);
-        let corrections = carried(&self.corrections, &mut scan.scene, &settings);
+        let corrections = carried(&self.corrections, &mut scan.scene, settings);
         let mut now = scan.scene.instances.clone();
         correct(&mut now, &corrections);
         let frames_before = read_frames(&self.folder, &self.content)?.unwrap_or_default();

@@ -108,14 +108,14 @@ impl Service {
             true => self.previous_parse(&scene_id).await?,
             false => None,
         };
-        let (blobs, pool, id) = (self.store.blobs.clone(), self.parsing.clone(), self.store.new_id());
+        let (blobs, pool, id, how) = (self.store.blobs.clone(), self.parsing.clone(), self.store.new_id(), settings.parsing.instances);
         let place = blobs.parse(&id);
         let work = move || {
             let _entered = span.enter();
             let folder = blobs.scratch()?;
             let inherited = pool.install(|| {
                 let inherited = previous
-                    .map(|previous| previous.continue_in(&mut scan, &progress.part(parsed_by, parsed_by)))
+                    .map(|previous| previous.continue_in(&mut scan, &how, &progress.part(parsed_by, parsed_by)))
                     .transpose()?;
                 files::write(&scan, &content, &folder, &progress.part(parsed_by, 1.0))?;
                 Ok::<_, Error>(inherited)
