@@ -7,7 +7,7 @@ use sysinfo::{MemoryRefreshKind, ProcessRefreshKind, ProcessesToUpdate, RefreshK
 pub struct Memory {
     /// What of this process is not swapped out.
     pub resident: u64,
-    /// What it may have: its container's limit, or all of the machine's.
+    /// What it may come to have: its container's limit, or all of the machine's; no more than others leave of that.
     pub most: u64,
 }
 
@@ -22,7 +22,8 @@ impl Memory {
         let process = system.process(id)?;
         let of_machine = system.total_memory();
         let most = process.cgroup_limits().map_or(of_machine, |limits| limits.total_memory.min(of_machine));
-        Some(Self { resident: process.memory(), most })
+        let resident = process.memory();
+        Some(Self { resident, most: most.min(resident.saturating_add(system.available_memory())) })
     }
 }
 

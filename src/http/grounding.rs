@@ -62,7 +62,8 @@ pub async fn ground(
 
 /// Finds out in which of many scenes something is.
 ///
-/// Every scene is looked into without a model; those that most likely have it are asked in full, and their answers kept.
+/// Every scene is looked into without a model; those that most likely have it are asked in full, and their answers kept. A key's rate counts
+/// each of these; there is no `Idempotency-Key`.
 #[utoipa::path(
     post, path = "/v1/ground", operation_id = "ground_many", tag = "grounding", request_body = ManyGroundRequest,
     responses(
@@ -85,8 +86,16 @@ pub async fn ground(
 pub async fn ground_many(
     State(app): State<App>,
     Extension(caller): Asking,
+    headers: HeaderMap,
     Json(request): Json<ManyGroundRequest>,
 ) -> Result<axum::Json<ManyAnswers>, Refused> {
+    // Better than to pay twice for who believes that it is heeded.
+    if headers.contains_key("idempotency-key") {
+        return Err(Refused::invalid(
+            "Idempotency-Key",
+            "questions about many scenes take none: what was answered is in /v1/answers",
+        ));
+    }
     Ok(axum::Json(app.service.ground_many(request, caller).await?))
 }
 

@@ -95,7 +95,9 @@ impl From<Error> for Refused {
         let detail = match status {
             // What broke inside is for the log, not for the caller.
             StatusCode::INTERNAL_SERVER_ERROR => Self::internal().0.detail,
-            StatusCode::INSUFFICIENT_STORAGE => "the server's disk is full: delete scenes, or ask its operator".into(),
+            StatusCode::INSUFFICIENT_STORAGE if error.is_disk_full() => {
+                "the server's disk is full: delete scenes, or ask its operator".into()
+            }
             StatusCode::SERVICE_UNAVAILABLE if error.is_store_busy() => "the server's database is busy: try again in a moment".into(),
             _ => error.to_string(),
         };

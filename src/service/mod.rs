@@ -19,6 +19,7 @@ mod parses;
 mod retention;
 mod scenes;
 mod stats;
+mod turns;
 mod uploads;
 mod vlm;
 
@@ -42,7 +43,6 @@ use crate::jobs::{JobFailure, Jobs};
 use crate::memory::Memory;
 use crate::metrics::Metrics;
 use crate::store::Store;
-use answers::BeingAnswered;
 use batches::Beginnings;
 use camino::Utf8PathBuf;
 use lately::Lately;
@@ -54,6 +54,7 @@ use std::time::Duration;
 use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
+use turns::Turns;
 use uniground_core::background;
 use uniground_core::grounding::PictureCache;
 use uniground_core::ingest::archive::UnpackLimits;
@@ -89,6 +90,8 @@ pub struct Service {
     parses: Arc<ParseCache>,
     pictures: Arc<PictureCache>,
     questions: Arc<Semaphore>,
+    /// One for each scene of many that is looked into.
+    glances: Arc<Semaphore>,
     uploads: Arc<Semaphore>,
     /// Uploads in parts that somebody is at work on.
     uploads_at_work: Arc<AtWork>,
@@ -100,7 +103,7 @@ pub struct Service {
     vlm: Option<Arc<Vlm>>,
     models: Models,
     /// Questions under idempotency keys being answered now.
-    being_answered: Arc<BeingAnswered>,
+    being_answered: Arc<Turns>,
     /// Batches being asked now.
     asked_batches: Beginnings,
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
@@ -108,8 +111,8 @@ pub struct Service {
     /// Held while a scene takes a stored parse, or gets a job for another, so that neither the parse nor what the job goes on from is
     /// removed meanwhile. Whoever removes holds both, this one last.
     parse_references: Arc<Mutex<()>>,
-    /// Held while a parse is corrected.
-    correcting: Arc<Mutex<()>>,
+    /// At changing what is known of a parse, by its id.
+    correcting: Arc<Turns>,
     /// Held while frames are laid beside a scene.
     growing: Arc<Mutex<()>>,
     /// Held while something is drawn or made for who looks at a scene: questions have their own places.
@@ -125,6 +128,8 @@ pub struct Service {
 
 /// Uploads received at once.
 const MAX_UPLOADS: usize = 16;
+/// Scenes looked into at once, whoever asks about many: they take few of the places at work on questions, and few connections of the database.
+const MAX_GLANCES: usize = 2;
 /// How long a question waits for its turn before the server calls itself overloaded.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -141,6 +146,7 @@ impl Service {
             parses: Arc::default(),
             pictures: Arc::default(),
             questions: Arc::new(Semaphore::new(limits.max_concurrent_questions)),
+            glances: Arc::new(Semaphore::new(MAX_GLANCES)),
             uploads: Arc::new(Semaphore::new(MAX_UPLOADS)),
             uploads_at_work: Arc::default(),
             tell: unexplained,

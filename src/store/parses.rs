@@ -165,7 +165,7 @@ impl Store {
     }
 
     /// Adds an instance that was found for a question, behind all others, and answers its id: that of the same thing where it was found
-    /// before. `None` when the parse is gone, or has `most` of them already.
+    /// before. `None` when the parse is gone or no scene's any more, or has `most` of them already.
     ///
     /// # Errors
     /// [`StoreError`].
@@ -177,10 +177,8 @@ impl Store {
             .iter()
             .map(|body| Ok(serde_json::from_str::<InstanceRecord>(body)?.into()))
             .collect::<Result<_, StoreError>>()?;
-        let last: Option<u32> = sqlx::query_scalar("SELECT max(id) FROM instances WHERE parse_id = ?")
-            .bind(parse_id)
-            .fetch_one(&mut *tx)
-            .await?;
+        let last = "SELECT max(id) FROM instances WHERE parse_id = ?1 AND EXISTS (SELECT 1 FROM scenes WHERE parse_id = ?1)";
+        let last: Option<u32> = sqlx::query_scalar(last).bind(parse_id).fetch_one(&mut *tx).await?;
         let (known, full) = (known_as(&before, found).map(|known| known.id), before.len() >= most);
         let Some(id) = last.map(|last| InstanceId(last + 1)).filter(|_| known.is_none() && !full) else {
             tx.forget().await?;

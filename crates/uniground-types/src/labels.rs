@@ -12,7 +12,7 @@ const LONGEST_VALUE: usize = 100;
 
 /// # Errors
 /// A [`FieldError`] below `at`: more than 20 labels; a name that is not 1 to 63 letters, digits, `.`, `_`, `-` and `/`; a value that is not one
-/// line of 1 to 100 characters without commas.
+/// line of 1 to 100 characters without commas or blanks around it.
 pub fn check_labels(at: &str, labels: &Labels) -> Result<(), FieldError> {
     if labels.len() > MOST {
         return Err(FieldError::new(at, format!("has {} labels, at most {MOST} are kept", labels.len())));
@@ -23,8 +23,12 @@ pub fn check_labels(at: &str, labels: &Labels) -> Result<(), FieldError> {
             let detail = format!("{name:?} is no name of a label: 1 to {LONGEST_NAME} letters, digits, '.', '_', '-' and '/'");
             return Err(FieldError::new(at, detail));
         }
-        if value.trim().is_empty() || value.chars().count() > LONGEST_VALUE || value.chars().any(|c| c.is_control() || c == ',') {
-            let detail = format!("{name} must be one line of 1 to {LONGEST_VALUE} characters without commas");
+        if value.trim().is_empty()
+            || value.trim() != value
+            || value.chars().count() > LONGEST_VALUE
+            || value.chars().any(|c| c.is_control() || c == ',')
+        {
+            let detail = format!("{name} must be one line of 1 to {LONGEST_VALUE} characters without commas or blanks around it");
             return Err(FieldError::new(at, detail));
         }
     }
@@ -65,6 +69,7 @@ mod tests {
         for wrong in ["", "building", "a=1,a=2", "two words=x", "x=", "x= ", &long, "ä=1", "x=a\nb"] {
             assert!(read_labels("labels", wrong).is_err(), "{wrong:?}");
         }
+        assert!(check_labels("/labels", &Labels::from([("a".into(), " x".into())])).is_err());
         let many: Labels = (0..21).map(|i| (format!("l{i}"), "x".to_owned())).collect();
         assert!(check_labels("/labels", &many).is_err());
     }

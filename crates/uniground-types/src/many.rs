@@ -9,6 +9,8 @@ use std::collections::BTreeMap;
 
 /// Most scenes that are answered in full.
 const MOST_ANSWERS: u32 = 20;
+/// Most scenes that one question is about.
+pub const MOST_SCENES: usize = 1000;
 
 /// A question about many scenes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -85,13 +87,13 @@ impl ManyGroundRequest {
         if !(1..=MOST_ANSWERS).contains(&self.top_k) {
             return Err(FieldError::new("/top_k", format!("must be 1 to {MOST_ANSWERS}")));
         }
-        if self.scenes.as_ref().is_some_and(Vec::is_empty) {
-            return Err(FieldError::new("/scenes", "must name a scene; leave it out to look in all"));
+        match self.scenes.as_ref().map(Vec::len) {
+            Some(0) => Err(FieldError::new("/scenes", "must name a scene; leave it out to look in all")),
+            Some(named) if named > MOST_SCENES => Err(FieldError::new("/scenes", format!("names {named} scenes, at most {MOST_SCENES}"))),
+            _ => Ok(()),
         }
-        Ok(())
     }
 }
-
 /// What came of a question about many scenes.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
@@ -142,6 +144,7 @@ mod tests {
         assert!(named(ManyGroundRequest { top_k: 0, ..asked() }).contains("/top_k"));
         assert!(named(ManyGroundRequest { scenes: Some(Vec::new()), ..asked() }).contains("/scenes"));
         assert!(named(ManyGroundRequest { query: " ".into(), ..asked() }).contains("/query"));
+        assert!(named(ManyGroundRequest { scenes: Some(vec![String::new(); 1001]), ..asked() }).contains("/scenes"));
         let labels = Labels::from([("two words".into(), "x".into())]);
         assert!(named(ManyGroundRequest { labels, ..asked() }).contains("/labels"));
     }

@@ -6,22 +6,23 @@ use crate::service::vlm::OF_QUESTION;
 use crate::service::{Caller, Service};
 use crate::store::{SceneFilter, SceneRow};
 use futures::{StreamExt, stream};
+use std::collections::HashSet;
 use std::time::{Duration, Instant};
 use tokio::time::sleep;
 use uniground_core::grounding::Status;
 use uniground_core::grounding::pipeline::{self, Answered};
 use uniground_core::models::chat::Budget;
-use uniground_types::many::{ManyAnswers, ManyGroundRequest, NotAsked, SceneAnswer};
+use uniground_types::answer::Answer;
+use uniground_types::many::{MOST_SCENES, ManyAnswers, ManyGroundRequest, NotAsked, SceneAnswer};
 use uniground_types::question::{GroundRequest, ReasonerChoice};
 
-/// Most scenes that one question is about.
-const MOST_SCENES: u32 = 1000;
-/// Scenes looked into at once: somebody else's question comes between.
-const LOOKS_AT_ONCE: usize = 2;
-/// Scenes asked in full at once.
-const ASKED_AT_ONCE: usize = 4;
-/// How long a look waits when others are before it.
-const STEP_ASIDE: Duration = Duration::from_millis(50);
+/// Scenes of one question that are under way at once.
+const AT_ONCE: usize = 4;
+/// So few scenes stay in memory once they were looked into.
+const FEW_SCENES: usize = 32;
+/// How long a scene waits when all places are taken, and how often.
+const STEP_ASIDE: Duration = Duration::from_millis(100);
+const TRIES: u32 = 100;
 
 impl Service {
     /// Finds out in which of many scenes something is.
@@ -34,26 +35,35 @@ impl Service {
         self.reviewer(&question, &caller)?;
         let rows = self.scenes_meant(&request).await?;
         let glance_at = GroundRequest { reasoner: ReasonerChoice::Builtin, ..question.clone() };
-        let looks: Vec<(SceneRow, Result<Answered, Error>)> = stream::iter(rows)
+        let stays = rows.len() <= FEW_SCENES;
+        let looks: Vec<(SceneRow, Result<Standing, Error>)> = stream::iter(rows)
             .map(async |row| {
-                let seen = self.glance(&row, &glance_at, &caller, start).await;
+                let seen = Box::pin(self.glance(&row, &glance_at, &caller, start, stays)).await;
                 (row, seen)
             })
-            .buffered(LOOKS_AT_ONCE)
+            .buffered(AT_ONCE)
             .collect()
             .await;
-        let (mut looked_into, mut likely, mut not_asked) = (0, Vec::new(), Vec::new());
+        let (mut looked_into, mut likely, mut not_asked, mut first_error) = (0, Vec::new(), Vec::new(), None);
         for (row, seen) in looks {
             match seen {
-                Ok(Answered { grounding, .. }) => {
+                Ok(standing) => {
                     looked_into += 1;
-                    likely.push((standing(grounding.status, grounding.confidence), row));
+                    likely.push((standing, row));
                 }
                 // It was deleted meanwhile.
                 Err(Error::SceneNotFound { .. }) => {}
                 Err(error @ Error::QuestionTimedOut { .. }) => return Err(error),
-                Err(error) => not_asked.push(told(&row, &error)),
+                Err(error) => {
+                    not_asked.push(told(&row, &error));
+                    if !matches!(error, Error::SceneNotReady { .. }) {
+                        first_error.get_or_insert(error);
+                    }
+                }
             }
+        }
+        if let (0, Some(error)) = (looked_into, first_error) {
+            return Err(error);
         }
         // Newest first among equals, as they come.
         likely.sort_by(|(a, _), (b, _)| a.0.cmp(&b.0).then(b.1.total_cmp(&a.1)));
@@ -61,12 +71,10 @@ impl Service {
         let pays = request.max_cost_usd.map(|usd| Budget::new(OF_QUESTION, usd));
         let asked: Vec<(SceneRow, Result<_, Error>)> = stream::iter(likely)
             .map(async |(_, row)| {
-                let timeout_s = question.timeout_s.map(|seconds| (seconds - start.elapsed().as_secs_f32()).max(0.001));
-                let asker = Asker { caller: caller.clone(), answer_id: self.store.new_id(), pays: pays.clone(), is_batch: false };
-                let answer = self.ground_for(&row.id, GroundRequest { timeout_s, ..question.clone() }, asker).await;
+                let answer = Box::pin(self.ask_in_full(&row, &question, &caller, start, pays.clone())).await;
                 (row, answer)
             })
-            .buffered(ASKED_AT_ONCE)
+            .buffered(AT_ONCE)
             .collect()
             .await;
         let (mut answers, mut first_error) = (Vec::new(), None);
@@ -82,6 +90,12 @@ impl Service {
         if let (true, Some(error)) = (answers.is_empty(), first_error) {
             return Err(error);
         }
+        // Each of them is a question of its own; one was counted when it came.
+        if let Some(key) = &caller.key {
+            for _ in answers.iter().skip(1) {
+                let _ = key.count();
+            }
+        }
         let standing_of = |found: &SceneAnswer| standing(found.answer.status, found.answer.confidence);
         answers.sort_by(|a, b| {
             let (a, b) = (standing_of(a), standing_of(b));
@@ -92,39 +106,84 @@ impl Service {
 
     async fn scenes_meant(&self, request: &ManyGroundRequest) -> Result<Vec<SceneRow>, Error> {
         let filter = SceneFilter { ids: request.scenes.clone(), labels: request.labels.clone() };
-        let rows = self.store.scenes(MOST_SCENES + 1, None, &filter).await?;
-        if rows.len() > MOST_SCENES as usize {
+        let rows = self.store.scenes(MOST_SCENES as u32 + 1, None, &filter).await?;
+        if rows.len() > MOST_SCENES {
             let detail = format!("more than {MOST_SCENES} scenes are meant: narrow them down by labels, or name those to look in");
             return Err(Error::invalid("/scenes", detail));
         }
-        for id in request.scenes.iter().flatten() {
-            if rows.iter().all(|row| row.id != *id) {
-                // It may be there under other labels.
-                self.scene_row(id).await?;
-            }
+        let found: HashSet<&str> = rows.iter().map(|row| row.id.as_str()).collect();
+        for id in request.scenes.iter().flatten().filter(|id| !found.contains(id.as_str())) {
+            // It may be there under other labels.
+            self.scene_row(id).await?;
         }
         Ok(rows)
     }
 
-    /// What the built-in reasoner makes of one scene; nothing is kept of it.
-    async fn glance(&self, row: &SceneRow, question: &GroundRequest, caller: &Caller, start: Instant) -> Result<Answered, Error> {
-        let not_ready = || Error::SceneNotReady { id: row.id.clone(), job_id: row.job_id.clone() };
-        let parse_id = row.parse_id.as_ref().ok_or_else(not_ready)?;
-        let scene = StoredScene::new(self.clone(), self.passing_parse(parse_id).await?);
+    /// One of the scenes, as a question about it alone.
+    async fn ask_in_full(
+        &self,
+        row: &SceneRow,
+        question: &GroundRequest,
+        caller: &Caller,
+        start: Instant,
+        pays: Option<Budget>,
+    ) -> Result<Answer, Error> {
+        let mut tries = 1;
         loop {
-            if let Some(seconds) = question.timeout_s.filter(|seconds| start.elapsed().as_secs_f32() > *seconds) {
-                return Err(Error::QuestionTimedOut { seconds });
-            }
-            match pipeline::answer(&scene, self.ask(question, caller, None, &[])?).await {
-                Err(Error::Overloaded) => sleep(STEP_ASIDE).await,
+            check_time(question, start)?;
+            let timeout_s = question.timeout_s.map(|seconds| seconds - start.elapsed().as_secs_f32()).filter(|left| *left > 0.0);
+            // What naming a scene costs is no part of a question's budget.
+            let asker =
+                Asker { caller: caller.clone(), answer_id: self.store.new_id(), pays: pays.clone(), is_batch: false, may_name: false };
+            match self.ground_for(&row.id, GroundRequest { timeout_s, ..question.clone() }, asker).await {
+                Err(Error::Overloaded) if tries < TRIES => sleep(STEP_ASIDE).await,
                 answered => return answered,
             }
+            tries += 1;
+        }
+    }
+
+    /// What the built-in reasoner makes of one scene; nothing is kept of it.
+    async fn glance(
+        &self,
+        row: &SceneRow,
+        question: &GroundRequest,
+        caller: &Caller,
+        start: Instant,
+        stays: bool,
+    ) -> Result<Standing, Error> {
+        let not_ready = || Error::SceneNotReady { id: row.id.clone(), job_id: row.job_id.clone() };
+        let parse_id = row.parse_id.as_ref().ok_or_else(not_ready)?;
+        let mut tries = 1;
+        loop {
+            let glance = self.glances.acquire().await;
+            check_time(question, start)?;
+            let parse = if stays { self.loaded_parse(parse_id).await? } else { self.passing_parse(parse_id).await? };
+            let scene = StoredScene::new(self.clone(), parse);
+            match pipeline::answer(&scene, self.ask(question, caller, None, &[])?).await {
+                Err(Error::Overloaded) if tries < TRIES => {
+                    drop(glance);
+                    sleep(STEP_ASIDE).await;
+                }
+                answered => return answered.map(|Answered { grounding, .. }| standing(grounding.status, grounding.confidence)),
+            }
+            tries += 1;
         }
     }
 }
 
+fn check_time(question: &GroundRequest, start: Instant) -> Result<(), Error> {
+    match question.timeout_s.filter(|seconds| start.elapsed().as_secs_f32() >= *seconds) {
+        Some(seconds) => Err(Error::QuestionTimedOut { seconds }),
+        None => Ok(()),
+    }
+}
+
+/// A rank, the lower the better, and within it the higher the better.
+type Standing = (u8, f32);
+
 /// The lower first, then by confidence: what is said of a thing counts before what is said of its absence.
-fn standing(status: Status, confidence: f32) -> (u8, f32) {
+fn standing(status: Status, confidence: f32) -> Standing {
     match status {
         Status::Grounded => (0, confidence),
         Status::Ambiguous => (1, confidence),
@@ -134,5 +193,8 @@ fn standing(status: Status, confidence: f32) -> (u8, f32) {
 }
 
 fn told(row: &SceneRow, error: &Error) -> NotAsked {
+    if !matches!(error, Error::SceneNotReady { .. }) {
+        tracing::warn!(scene_id = row.id, error = error as &dyn std::error::Error, "one of many scenes could not be asked");
+    }
     NotAsked { scene_id: row.id.clone(), code: error.code().to_owned(), detail: error.to_string() }
 }

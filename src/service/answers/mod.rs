@@ -18,7 +18,6 @@ use super::{Caller, Service, Vlm};
 use crate::error::Error;
 use crate::store::NewAnswer;
 pub use in_frame::Frame;
-pub use once::BeingAnswered;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::time::timeout;
@@ -41,6 +40,8 @@ pub(super) struct Asker {
     pub pays: Option<Budget>,
     /// It is an item of a batch.
     pub is_batch: bool,
+    /// A scene may be named first, which is paid beside the question.
+    pub may_name: bool,
 }
 
 impl Service {
@@ -49,7 +50,7 @@ impl Service {
     /// # Errors
     /// [`Error`]: unknown or unparsed scene, a question that is none, no model or no money where a model was demanded, overload, time-out.
     pub async fn ground(&self, scene_id: &str, request: GroundRequest, caller: Caller) -> Result<Answer, Error> {
-        let asker = Asker { caller, answer_id: self.store.new_id(), pays: None, is_batch: false };
+        let asker = Asker { caller, answer_id: self.store.new_id(), pays: None, is_batch: false, may_name: true };
         self.ground_for(scene_id, request, asker).await
     }
 
@@ -74,7 +75,7 @@ impl Service {
         let (scene, parse_id) = self.ready_scene(scene_id).await?;
         let reviewer = self.reviewer(&request, &asker.caller)?;
         let start = Instant::now();
-        if reviewer.is_some() {
+        if reviewer.is_some() && asker.may_name {
             let naming = self.name_before_asking(&scene.id, &parse_id, &asker.caller);
             let named = match request.timeout_s {
                 Some(seconds) => timeout(Duration::from_secs_f32(seconds), naming).await.unwrap_or(Ok(())),

@@ -4,32 +4,12 @@ use super::{Asker, Service, filtered};
 use crate::error::Error;
 use crate::service::Caller;
 use sha2::{Digest, Sha256};
-use std::collections::HashMap;
-use std::sync::{Arc, PoisonError, Weak};
-use tokio::sync::{Mutex, OwnedMutexGuard};
 use tracing::Instrument;
 use uniground_types::answer::Answer;
 use uniground_types::question::{GroundRequest, ParserChoice, ReasonerChoice};
 
 /// Longest idempotency key, bytes.
 const LONGEST_KEY: usize = 256;
-
-/// Keys whose questions are being answered: who comes with the same one waits.
-#[derive(Default)]
-pub struct BeingAnswered(std::sync::Mutex<HashMap<String, Weak<Mutex<()>>>>);
-
-impl BeingAnswered {
-    async fn turn(&self, key: &str) -> OwnedMutexGuard<()> {
-        let lock = {
-            let mut locks = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            locks.retain(|_, lock| lock.strong_count() > 0);
-            let lock = locks.get(key).and_then(Weak::upgrade).unwrap_or_default();
-            locks.insert(key.to_owned(), Arc::downgrade(&lock));
-            lock
-        };
-        lock.lock_owned().await
-    }
-}
 
 impl Service {
     /// Grounds one question under an idempotency key; whether the answer was given before. The question is answered to its end even if
@@ -52,7 +32,7 @@ impl Service {
         // What can not be asked at all uses up no key.
         self.ready_scene(scene_id).await?;
         let key = caller.own(key.to_owned());
-        let _turn = self.being_answered.turn(&key).await;
+        let _turn = self.being_answered.at(&key).await;
         let digest = Sha256::digest(serde_json::to_vec(&(scene_id, &request))?);
         let asked: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
         // The answer has its id before it is asked: one that was kept before a crash is known again.
@@ -71,7 +51,7 @@ impl Service {
         if let Some(row) = self.store.answer(&answer_id).await? {
             return Ok((filtered(serde_json::from_str(&row.body)?, request.include.as_deref()), true));
         }
-        let asker = Asker { caller, answer_id, pays: None, is_batch: false };
+        let asker = Asker { caller, answer_id, pays: None, is_batch: false, may_name: true };
         Ok((self.ground_for(scene_id, request, asker).await?, false))
     }
 

@@ -159,6 +159,8 @@ impl SceneSource for StoredScene {
     }
 
     async fn keep_found(self: &Arc<Self>, found: Instance) -> Result<(Arc<Self>, InstanceId), Error> {
+        // Of a scene that grows it is kept before the next parse goes on from this one, or not at all: its id would be another's.
+        let _turn = self.service.correcting.at(&self.parse.id).await;
         let Some(id) = self.service.store.insert_found(&self.parse.id, &found, MOST_FOUND).await? else {
             // For this question alone.
             let (mut parse, id) = (LoadedParse::clone(&self.parse), InstanceId(self.parse.instances.len() as u32 + 1));

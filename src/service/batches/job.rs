@@ -233,7 +233,8 @@ impl Service {
         };
         let (mut tries, mut wait) = (0, FIRST_WAIT);
         loop {
-            let asker = Asker { caller: caller.clone(), answer_id: answer_id.clone(), pays: budget.cloned(), is_batch: true };
+            let asker =
+                Asker { caller: caller.clone(), answer_id: answer_id.clone(), pays: budget.cloned(), is_batch: true, may_name: true };
             match self.ground_for(&scene_id, request.clone(), asker).await {
                 Ok(Answer { stored: false, .. }) => return Err(Error::AnswerNotKept),
                 Ok(answer) => {

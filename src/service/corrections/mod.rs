@@ -31,8 +31,7 @@ impl Service {
     pub async fn correct(&self, scene_id: &str, change: Change, caller: &Caller) -> Result<Correction, Error> {
         check(&change)?;
         // One after the other: what is checked stays so until it is written.
-        let _turn = self.correcting.lock().await;
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let (parse_id, _turn) = self.turn_at_parse(scene_id).await?;
         let parse = self.loaded_parse(&parse_id).await?;
         let known = |id: InstanceId| {
             let instance = parse.instances.get((id.0 as usize).wrapping_sub(1));
@@ -86,8 +85,7 @@ impl Service {
     /// # Errors
     /// [`Error::CorrectionNotFound`]; [`Error::CorrectionInUse`] where a later one is about the instance this one has made.
     pub async fn undo_correction(&self, scene_id: &str, id: &str) -> Result<Correction, Error> {
-        let _turn = self.correcting.lock().await;
-        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        let (parse_id, _turn) = self.turn_at_parse(scene_id).await?;
         let corrections = self.store.corrections(&parse_id).await?;
         let not_found = || Error::CorrectionNotFound { id: id.to_owned() };
         let correction = corrections.iter().find(|correction| correction.id == id).ok_or_else(not_found)?;

@@ -6,6 +6,7 @@ use crate::service::Service;
 use camino::Utf8PathBuf;
 use std::fs::File;
 use std::io::BufReader;
+use tokio::sync::OwnedMutexGuard;
 use uniground_core::changes::{Counterparts, Look, carried, compare, continued, pairs};
 use uniground_core::geometry::Isometry3;
 use uniground_core::ingest;
@@ -36,18 +37,32 @@ pub(super) struct Inherited {
 }
 
 impl Service {
-    /// The parse that the next one of a scene that has grown goes on from: its present one.
-    pub(super) async fn previous_parse(&self, scene_id: &str) -> Result<Option<Previous>, Error> {
-        let Some(parse_id) = self.scene_row(scene_id).await?.parse_id else { return Ok(None) };
+    /// A scene's current parse, and the turn at changing what is known of it: while somebody has that, nothing is corrected or found in it, and
+    /// a scene that grows does not go on from it.
+    ///
+    /// # Errors
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
+    pub(in crate::service) async fn turn_at_parse(&self, scene_id: &str) -> Result<(String, OwnedMutexGuard<()>), Error> {
+        loop {
+            let (_, parse_id) = self.ready_scene(scene_id).await?;
+            let turn = self.correcting.at(&parse_id).await;
+            if self.ready_scene(scene_id).await?.1 == parse_id {
+                return Ok((parse_id, turn));
+            }
+        }
+    }
+
+    /// The parse that the next one of a scene that has grown goes on from.
+    pub(super) async fn previous_parse(&self, parse_id: String) -> Result<Previous, Error> {
         let loaded = self.loaded_parse(&parse_id).await?;
-        Ok(Some(Previous {
+        Ok(Previous {
             found: self.store.instances(&parse_id).await?,
             shown: loaded.instances.clone(),
             corrections: self.store.corrections(&parse_id).await?,
             folder: self.store.blobs.parse(&parse_id),
             content: loaded.content.clone(),
             parse_id,
-        }))
+        })
     }
 }
 

@@ -100,13 +100,13 @@ impl Service {
         };
         let mut scan = spawn_blocking(work).await??;
         // What people say of the scene from here on is of the parse that is being written.
-        let _correcting = match grown_from.is_some() {
-            true => Some(self.correcting.lock().await),
-            false => None,
+        let turn = match grown_from {
+            Some(_) if self.scene_row(&scene_id).await?.parse_id.is_some() => Some(self.turn_at_parse(&scene_id).await?),
+            _ => None,
         };
-        let previous = match grown_from.is_some() {
-            true => self.previous_parse(&scene_id).await?,
-            false => None,
+        let previous = match &turn {
+            Some((parse_id, _turn)) => Some(self.previous_parse(parse_id.clone()).await?),
+            None => None,
         };
         let (blobs, pool, id, how) = (self.store.blobs.clone(), self.parsing.clone(), self.store.new_id(), settings.parsing.instances);
         let place = blobs.parse(&id);
@@ -154,6 +154,7 @@ impl Service {
                 return Err(Error::SceneNotFound { id: scene_id });
             }
         }
+        drop(turn);
         let report = &parsed.report;
         let computed = report.stages.iter().filter(|stage| !stage.reused);
         self.metrics

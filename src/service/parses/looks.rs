@@ -103,8 +103,12 @@ impl Service {
         if let Some(drawn) = self.parses.drawn.get(file.as_str()).filter(|_| stays) {
             return Ok(Some(EvidenceFile::Drawn(drawn)));
         }
-        let seen = instance.views[at].clone();
+        let (seen, known_as) = (instance.views[at].clone(), file.clone());
         let drawn = self.draw(scene, move |service, scene| {
+            // Somebody may have waited for the same.
+            if let Some(drawn) = service.parses.drawn.get(known_as.as_str()).filter(|_| stays) {
+                return Ok(Some(drawn));
+            }
             let (parse, folder) = (&scene.parse, scene.folder());
             let kept = photograph(&folder, seen.frame);
             if service.store.blobs.holds(&folder, &kept)? {

@@ -6,8 +6,33 @@ use crate::server::{TestServer, ask, problem};
 use serde_json::json;
 use sqlx::Connection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use std::collections::BTreeSet;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
+use uniground_types::many::ManyGroundRequest;
 use uniground_types::question::{GroundRequest, ReasonerChoice};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_likeliest_of_many_scenes_are_asked_of_the_model_for_what_one_question_may_cost() {
+    let script = Script::default();
+    let dear = VlmConfig { vlm_prompt_usd: 1000.0, vlm_completion_usd: 5000.0, ..config(&script.serve(vec![says("-")]).await) };
+    let (server, scene) = start(dear).await;
+    let again = server.parsed(uniground::sample::LIVING_ROOM.to_vec()).await;
+    let id = builtin(&server, &scene).await.answer.predicted_id.unwrap();
+    let asked = async |usd| {
+        let request = ManyGroundRequest { reasoner: ReasonerChoice::Vlm, max_cost_usd: usd, ..ManyGroundRequest::of(QUERY) };
+        server.client.ground_many(&request).await
+    };
+    script.next(vec![six_lines(id, "", true, 1), six_lines(id, "", true, 1)]);
+    let found = asked(None).await.unwrap();
+    let scenes: BTreeSet<&str> = found.answers.iter().map(|found| found.answer.scene_id.as_str()).collect();
+    assert_eq!((scenes, script.calls()), (BTreeSet::from([scene.as_str(), again.id.as_str()]), 2));
+    assert!(found.answers.iter().all(|found| found.answer.usage.cost_usd > 0.5), "{found:?}");
+    // Too little for one call: nobody is asked, and that is told.
+    script.take();
+    let error = problem(asked(Some(0.5)).await);
+    assert_eq!((error.status, error.code.as_str(), script.calls()), (402, "budget_spent", 0));
+    server.stop().await;
+}
 
 #[tokio::test(flavor = "multi_thread")]
 async fn money_ends() {

@@ -304,7 +304,8 @@ export interface paths {
         put?: never;
         /**
          * Finds out in which of many scenes something is.
-         * @description Every scene is looked into without a model; those that most likely have it are asked in full, and their answers kept.
+         * @description Every scene is looked into without a model; those that most likely have it are asked in full, and their answers kept. A key's rate counts
+         *     each of these; there is no `Idempotency-Key`.
          */
         post: operations["ground_many"];
         delete?: never;

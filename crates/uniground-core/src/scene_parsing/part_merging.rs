@@ -50,7 +50,7 @@ pub fn join(
     let joining = Joining { cloud, superpoints, settings, progress };
     let is_leg = |part: &Part, whole: &Part| is_leg(settings, part) && carries(part, whole);
     let is_back = |part: &Part, whole: &Part| is_back(settings, part, whole);
-    let rules: [&dyn Fn(&Part, &Part) -> bool; 3] = [&is_leg, &is_back, &is_foot];
+    let rules: [&Rule; 3] = [&is_leg, &is_back, &is_foot];
     let count = region_of.iter().max().map_or(0, |&region| region as usize + 1);
     let (mut region_of, mut known) = (region_of, vec![None; count]);
     for rule in rules {
@@ -59,6 +59,9 @@ pub fn join(
     }
     Ok(region_of)
 }
+
+/// Whether a region is a part of another.
+type Rule<'a> = dyn Fn(&Part, &Part) -> bool + 'a;
 
 struct Joining<'a> {
     cloud: &'a PointCloud,
@@ -70,7 +73,7 @@ struct Joining<'a> {
 impl Joining<'_> {
     /// `rule(part, whole)` says which neighbours a region is a part of; it joins the one of them with which it shares most border. Answers
     /// the new regions, and what is known of those that are as they were.
-    fn join_by(&self, region_of: Vec<u32>, parts: &[Part], rule: &dyn Fn(&Part, &Part) -> bool) -> (Vec<u32>, Vec<Option<Part>>) {
+    fn join_by(&self, region_of: Vec<u32>, parts: &[Part], rule: &Rule) -> (Vec<u32>, Vec<Option<Part>>) {
         let mut contacts: BTreeMap<(u32, u32), u32> = BTreeMap::new();
         for &(a, b) in &self.superpoints.adjacent {
             let (a, b) = (region_of[a as usize], region_of[b as usize]);
