@@ -125,7 +125,7 @@ def inspect(url: str, scene: str) -> None:
         return json.loads(done.stdout)
 
     tools = ask("tools/list")["tools"]
-    assert len(tools) == 7, tools
+    assert len(tools) == 8, tools
     query = ["--tool-arg", f"scene_id={scene}", "--tool-arg", "query=the mug on the coffee table"]
     answer = ask("tools/call", "--tool-name", "ground", *query)
     assert answer["structuredContent"]["status"] == "grounded", answer
