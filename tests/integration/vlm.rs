@@ -99,7 +99,7 @@ async fn the_model_decides_and_everything_can_be_looked_up() {
     assert!(!answer.answer.candidate_names.contains_key(&4711));
     assert_eq!(answer.answer.relation_used.as_deref(), Some("on the coffee table"));
     assert_eq!((answer.answer.anchor_id.map(|id| id.0), answer.answer.target_name_matches), (Some(anchor), Some(true)));
-    assert_eq!((answer.models.reasoner.as_str(), answer.degraded), ("scripted (prompt 5)", false));
+    assert_eq!((answer.models.reasoner.as_str(), answer.degraded), ("scripted (prompt 6)", false));
     assert_eq!((answer.usage.vlm_calls, answer.usage.prompt_tokens), (1, 700));
     assert!((answer.usage.cost_usd - (700.0 * 2.0 + 40.0 * 8.0) / 1e6).abs() < 1e-12);
     assert_eq!(purposes(&answer), ["spatial"]);
@@ -370,7 +370,7 @@ fn a_model_is_evaluated_and_its_answers_are_kept() {
     let calls = |cell: &Value| cell["figures"]["vlm_calls"].as_f64().unwrap();
     assert_eq!((cells.len(), calls(&cells[0])), (4, 0.0));
     assert!(calls(&cells[2]) >= 1.0 && cells[2]["figures"]["cost_usd"].as_f64().unwrap() > 0.0, "{}", cells[2]["figures"]);
-    assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 5)");
+    assert_eq!(cells[2]["models"]["reasoner"], "scripted (prompt 6)");
     assert!(script.take().iter().any(|body| pictures_of(body) >= 6), "annotated instances have photographs");
 
     let (output, replayed) = eval(

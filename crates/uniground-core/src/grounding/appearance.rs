@@ -93,7 +93,7 @@ fn nouns_within(phrase: &Phrase, words: &mut Vec<String>) {
         Meaning::Unknown => words.push(phrase.head.clone()),
         Meaning::Anything | Meaning::Structure(_) => {}
     }
-    for other in &phrase.other_things {
+    for other in phrase.could_be.iter().chain(&phrase.other_things) {
         nouns_within(&Phrase { head: other.clone(), ..Phrase::default() }, words);
     }
     let anchors = phrase.relations.iter().flat_map(|relation| &relation.anchors);

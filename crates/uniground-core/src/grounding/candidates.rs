@@ -8,6 +8,7 @@ use super::answer::candidate;
 use super::assess::{Assessment, Assessor};
 use super::place::one_per_place;
 use super::query::{Meaning, ParsedQuery, Phrase};
+use super::readings::Readings;
 use super::{Appearance, Candidate, CandidateSource};
 use crate::geometry::statistics::largest;
 
@@ -64,7 +65,7 @@ fn reasoned(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: us
 
 /// A phrase without its noun.
 fn unnamed(target: &Phrase) -> Phrase {
-    Phrase { head: String::new(), uses: Vec::new(), ..target.clone() }
+    Phrase { head: String::new(), could_be: Vec::new(), uses: Vec::new(), ..target.clone() }
 }
 
 fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize) -> Vec<usize> {
@@ -79,8 +80,8 @@ fn fused(assessor: &Assessor, parsed: &ParsedQuery, scores: &[f32], top_k: usize
         let is_thing = instance.structure.is_none() && scene.names.get(i).is_none_or(super::GivenName::is_thing);
         (is_thing || asks_for_structure) && !instance.dismissed && instance.aabb.size.max() >= SPECK_M
     };
-    let is_called_so =
-        |i: usize| meaning != Meaning::Anything && scene.names.get(i).is_some_and(|name| name.fit(target, &meaning) >= CALLED_SO);
+    let readings = Readings::of(target);
+    let is_called_so = |i: usize| meaning != Meaning::Anything && scene.names.get(i).is_some_and(|name| readings.called(name) >= CALLED_SO);
     let rankings: [Option<&[f32]>; 4] = [Some(scores), Some(&read.own), looks, Some(&placed)];
     let mut fusion = vec![0.0_f32; scores.len()];
     for (scores, weight) in rankings.into_iter().zip(WEIGHTS).filter_map(|(scores, weight)| Some((scores?, weight))) {

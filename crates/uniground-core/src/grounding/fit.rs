@@ -5,6 +5,7 @@ use super::kinds::breadth;
 use super::names::GivenName;
 use super::place::one_per_place;
 use super::query::{Meaning, Phrase, Trait};
+use super::readings::{Reading, Readings};
 use super::solid::Solid;
 use crate::geometry::colour::{ColourName, lab_of_srgb};
 use crate::models::attributes::{self, Noun, noun_fit};
@@ -33,12 +34,26 @@ pub(super) const PLAUSIBLE: f32 = 0.3;
 /// What is left at the wrong end of a comparison: of the smallest thing when "large" is asked for.
 const OPPOSITE_TRAIT: f32 = 0.3;
 
-/// Fit of every instance to a phrase's noun, `0..=1`, by index; one instance for each place.
+/// Fit of every instance to a phrase's noun, or to another it may be called by, `0..=1`, by index; one instance for each place.
 #[must_use]
 pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
-    let meaning = phrase.meaning();
+    let readings = Readings::of(phrase);
+    let mut fits = vec![0.0_f32; scene.instances.len()];
+    for Reading { weight, phrase, meaning } in readings.iter() {
+        let read = fits_of_reading(scene, phrase, meaning);
+        fits.iter_mut().zip(read).for_each(|(best, fit)| *best = best.max(weight * fit));
+    }
+    one_per_place(scene.instances, &mut fits);
+    let nouns: Vec<&Noun> = readings.iter().flat_map(Reading::nouns).copied().collect();
+    if !nouns.is_empty() && scene.appearance.is_none() && phrase.uses.is_empty() {
+        called_so_first(&nouns, scene.instances, &mut fits);
+    }
+    fits
+}
+
+fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<f32> {
     let by_appearance = |word: &str, index: usize, measured| scene.appearance.and_then(|appearance| appearance.fit(word, index, measured));
-    let unnamed = |(index, instance): (usize, &Instance)| match &meaning {
+    let unnamed = |(index, instance): (usize, &Instance)| match meaning {
         // A word without measures: only its looks tell.
         Meaning::Unknown if instance.structure.is_none() => by_appearance(&phrase.head, index, None).unwrap_or(0.0),
         Meaning::Unknown => 0.0,
@@ -66,19 +81,14 @@ pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
             by_looks.unwrap_or_else(|| guessed * by_measure * among_names(by_measure, nouns, instance).sqrt())
         }
     };
-    let fit = |(index, instance): (usize, &Instance)| match (scene.names.get(index), &meaning) {
-        (Some(name), Meaning::Nouns(_) | Meaning::Unknown) => name.fit(phrase, &meaning) * said(name, phrase),
+    let fit = |(index, instance): (usize, &Instance)| match (scene.names.get(index), meaning) {
+        (Some(name), Meaning::Nouns(_) | Meaning::Unknown) => name.fit(phrase, meaning) * said(name, phrase),
         (Some(name), Meaning::Anything) if !name.is_thing() => 0.0,
         // Planes were measured; a name tells of stretches that were not.
-        (Some(name), Meaning::Structure(_)) => unnamed((index, instance)).max(name.fit(phrase, &meaning)),
+        (Some(name), Meaning::Structure(_)) => unnamed((index, instance)).max(name.fit(phrase, meaning)),
         _ => unnamed((index, instance)),
     };
-    let mut fits: Vec<f32> = scene.instances.iter().enumerate().map(fit).collect();
-    one_per_place(scene.instances, &mut fits);
-    if let (Meaning::Nouns(nouns), None, true) = (&meaning, scene.appearance, phrase.uses.is_empty()) {
-        called_so_first(nouns, scene.instances, &mut fits);
-    }
-    fits
+    scene.instances.iter().enumerate().map(fit).collect()
 }
 
 /// What is left where a name does not say what is said of the thing: "leather", "kitchen".

@@ -18,6 +18,7 @@ mod picture_cache;
 pub mod pipeline;
 mod place;
 pub mod query;
+mod readings;
 pub mod reasoner;
 pub mod relations;
 mod scene_source;

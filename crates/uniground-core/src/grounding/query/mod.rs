@@ -111,6 +111,8 @@ pub struct Phrase {
     pub head: String,
     /// What it is for: "something to sit on". Words of the lexicon.
     pub uses: Vec<String>,
+    /// Nouns it may be called by as well, the likeliest first: a reader that knows the world says them.
+    pub could_be: Vec<String>,
     /// Nouns it must not be: "the table that is not the dining table".
     pub other_things: Vec<String>,
     /// The words the use was said in: "wine" of "something to pour wine from".

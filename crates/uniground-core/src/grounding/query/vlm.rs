@@ -8,12 +8,14 @@ use serde::Deserialize;
 use serde_json::{Value, json};
 
 /// Raised when the prompt or the schema changes.
-pub(super) const PROMPT_VERSION: u32 = 1;
+pub(super) const PROMPT_VERSION: u32 = 2;
 
 /// Deeper nesting is no sentence.
 const MAX_DEPTH: u32 = 5;
 /// More parts than this are no sentence either.
 const MAX_PARTS: usize = 64;
+/// Nouns that one thing may be called by.
+const MAX_NOUNS: usize = 8;
 
 const SYSTEM: &str = "You turn a question about an object in a room into JSON. Answer with the JSON object alone.\n\
     target is the object asked for; relations connect a thing to its anchors; a relation belongs to the thing it is said of, so an \
@@ -21,7 +23,12 @@ const SYSTEM: &str = "You turn a question about an object in a room into JSON. A
     phrases when the object is named by its purpose (\"something to sit on\": noun empty, uses [\"sit on\"]). with and without are \
     things the object carries. rank counts for closest, farthest and superlatives: \"second from the left\" is leftmost, rank 2. \
     viewpoint is how somebody looks: facing X, from X, back_to X; \"as you walk in\" is from the door. words are the question's own \
-    words for the relation. List words you could not use in not_understood.";
+    words for the relation. could_be are other plain nouns by which a list of the things in a room may call this one, the likeliest first, \
+    at most eight: its synonyms and wider words where it has a noun; where the noun is missing or means nothing here, and the thing is \
+    told by what it does, by a need or by a situation, the things that would answer to that (\"it wakes me every morning\": alarm clock, \
+    clock, radio, phone); none where nothing is said of what it is (\"what is that on the shelf\"). What is on somebody's left or right \
+    is the superlative leftmost or rightmost under a viewpoint; left_of and right_of are of another thing than the one they look from or \
+    face. List words you could not use in not_understood.";
 
 /// The question to the model.
 pub(super) fn request(query: &str) -> ChatRequest {
@@ -40,7 +47,7 @@ fn schema() -> Value {
         "measure": {"type": "string", "enum": Measure::ALL.map(Measure::word)}, "rank": {"type": "integer", "minimum": 1},
     }});
     let phrase = json!({"type": "object", "additionalProperties": false, "required": ["noun"], "properties": {
-        "noun": {"type": "string"}, "uses": {"type": "array", "items": {"type": "string"}}, "colours": names(colours()),
+        "noun": {"type": "string"}, "could_be": {"type": "array", "items": {"type": "string"}, "maxItems": MAX_NOUNS}, "uses": {"type": "array", "items": {"type": "string"}}, "colours": names(colours()),
         "not_colours": names(colours()), "traits": names(Trait::ALL.iter().map(|t| t.word()).collect()),
         "count": {"type": ["integer", "null"], "minimum": 0}, "with": phrases(), "without": phrases(),
         "relations": {"type": "array", "items": relation}, "superlative": superlative,
@@ -72,6 +79,7 @@ struct ViewpointJson {
 #[derive(Default)]
 struct PhraseJson {
     noun: String,
+    could_be: Vec<String>,
     uses: Vec<String>,
     colours: Vec<String>,
     not_colours: Vec<String>,
@@ -166,7 +174,13 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
             Some(Superlative { measure, rank: rank.unwrap_or(1).max(1) })
         }
     };
-    let head = json.noun.trim().to_lowercase();
+    let nouns = json.could_be.iter().map(|noun| noun.trim().to_lowercase());
+    let mut could_be: Vec<String> = nouns.filter(|noun| !words::is_anything(noun)).take(MAX_NOUNS).collect();
+    let mut head = json.noun.trim().to_lowercase();
+    // What answers to a need is told better by its nouns than by the need.
+    if words::is_anything(&head) && !could_be.is_empty() {
+        head = could_be.remove(0);
+    }
     let (mut uses, mut purpose) = (Vec::new(), Vec::new());
     if words::is_anything(&head) {
         for said in &json.uses {
@@ -180,6 +194,7 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
         indefinite: false,
         head,
         uses,
+        could_be,
         other_things: Vec::new(),
         purpose,
         colours: json.colours.iter().map(colour).collect::<Result<_, _>>()?,

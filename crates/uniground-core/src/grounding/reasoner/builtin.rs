@@ -9,7 +9,9 @@ use crate::grounding::assess::{Assessment, Assessor};
 use crate::grounding::direction::Directions;
 use crate::grounding::fit::{colours_fit, most_plausible};
 use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Quantity, Viewpoint};
+use crate::grounding::readings::Readings;
 use crate::grounding::{NoMatchReason, SceneView, Status};
+use crate::models::attributes::Noun;
 
 /// Name and version, recorded with answers.
 pub const NAME: &str = "builtin-3";
@@ -56,10 +58,8 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let instances = assessor.scene.instances;
     let best_fit = assessment.nouns.iter().copied().fold(0.0, f32::max);
     if best_fit < MIN_FIT {
-        let reason = match parsed.target.meaning() {
-            Meaning::Unknown => NoMatchReason::NotRecognised,
-            _ => NoMatchReason::Absent,
-        };
+        let is_unknown = Readings::of(&parsed.target).iter().all(|reading| reading.meaning == Meaning::Unknown);
+        let reason = if is_unknown { NoMatchReason::NotRecognised } else { NoMatchReason::Absent };
         return no_match(assessment.own, reason, why_nothing_fits(parsed));
     }
     if !colours_agree(&assessment, &parsed.target, assessor.scene) {
@@ -216,21 +216,20 @@ fn name_matches(scene: SceneView, target: &Phrase, index: usize) -> bool {
     match (target.meaning(), scene.names.get(index)) {
         (Meaning::Anything, _) => true,
         (Meaning::Structure(structure), _) if scene.instances[index].structure == Some(structure) => true,
-        (meaning, Some(name)) => name.fit(target, &meaning) > 0.0,
-        (Meaning::Nouns(nouns), None) => scene.instances[index].names.iter().any(|guess| nouns.iter().any(|noun| noun.name == guess.name)),
-        (_, None) => false,
+        (_, Some(name)) => Readings::of(target).called(name) > 0.0,
+        (_, None) => {
+            let guessed = |noun: &Noun| scene.instances[index].names.iter().any(|guess| guess.name == noun.name);
+            Readings::of(target).iter().any(|reading| reading.nouns().iter().any(|noun| guessed(noun)))
+        }
     }
 }
 
 /// Whether the name of the instance at an index, given or first among its guesses, is what the phrase may mean.
 fn is_called<'a>(target: &Phrase, scene: SceneView<'a>) -> impl Fn(usize) -> bool + 'a {
-    let meaning = target.meaning();
-    move |i| match &meaning {
-        Meaning::Nouns(nouns) if scene.names.get(i).is_none() => scene.instances[i]
-            .names
-            .first()
-            .is_some_and(|guess| nouns.iter().any(|noun| noun.name == guess.name)),
-        _ => true,
+    let nouns: Vec<&Noun> = Readings::of(target).iter().flat_map(|reading| reading.nouns().to_vec()).collect();
+    move |i| match scene.instances[i].names.first() {
+        _ if nouns.is_empty() || scene.names.get(i).is_some() => true,
+        guess => guess.is_some_and(|guess| nouns.iter().any(|noun| noun.name == guess.name)),
     }
 }
 

@@ -5,6 +5,7 @@ use crate::grounding::answer::{described, superlative_words};
 use crate::grounding::assess::{Assessment, Assessor};
 use crate::grounding::fit::{colours_fit, most_plausible};
 use crate::grounding::query::{Meaning, ParsedQuery, Phrase};
+use crate::grounding::readings::Readings;
 use crate::models::attributes;
 use std::fmt::Write;
 
@@ -19,8 +20,10 @@ pub(super) fn explain(assessor: &Assessor, phrase: &Phrase, read: &Assessment, b
     let taken = match (&phrase.head, phrase.uses.is_empty()) {
         (_, false) => format!("is {}", phrase.text()),
         (head, true) if head.is_empty() => "is a thing".into(),
-        (head, true) if assessor.scene.names.get(best).is_some() => format!("is named as \"{head}\""),
-        (head, true) => format!("is taken for \"{head}\""),
+        (head, true) => match assessor.scene.names.get(best) {
+            Some(name) => format!("is named as \"{}\"", Readings::of(phrase).best_noun(name)),
+            None => format!("is taken for \"{head}\""),
+        },
     };
     let _ = write!(text, " {taken} ({:.2})", read.nouns[best]);
     for &colour in &phrase.colours {

@@ -4,12 +4,12 @@ use super::PromptContext;
 use super::reply::Reply;
 use crate::grounding::GivenName;
 use crate::grounding::query::{Meaning, Phrase};
+use crate::grounding::readings::Readings;
 use std::collections::{BTreeMap, BTreeSet};
 
 /// Whether a name somebody gave means what a phrase asks for: "window with an air conditioner" is a window.
 pub(super) fn matches(name: &str, target: &Phrase) -> bool {
-    let meaning = target.meaning();
-    meaning == Meaning::Anything || GivenName::read(name).is_some_and(|name| name.fit(target, &meaning) > 0.0)
+    target.meaning() == Meaning::Anything || GivenName::read(name).is_some_and(|name| Readings::of(target).called(&name) > 0.0)
 }
 
 /// Candidates whose names match the target.

@@ -17,7 +17,7 @@ use std::fmt::Write;
 pub fn reasoner_name(model: &str, prompt: PromptVersion) -> String {
     let number = match prompt {
         PromptVersion::Paper => 2,
-        PromptVersion::Revised => 5,
+        PromptVersion::Revised => 6,
     };
     format!("{model} (prompt {number})")
 }
@@ -138,8 +138,8 @@ fn images(context: &PromptContext, shown: &VisualEvidence) -> String {
         };
         let _ = write!(
             text,
-            "\n{numbers} {verb} of the room with nothing drawn in: the candidates fit the query badly, and what it asks for \
-             may be seen there without being listed."
+            "\n{numbers} {verb} of the room with nothing drawn in, in case no candidate is what the query asks for: it may be seen \
+             there without being listed."
         );
     }
     text.trim().to_owned()
