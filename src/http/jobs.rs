@@ -1,11 +1,11 @@
 //! `/v1/jobs`
 
+use super::App;
 use super::extract::{Path, Query};
 use super::paging::{DEFAULT_LIMIT, checked};
 use super::problem::Refused;
-use super::{App, MAX_EVENT_STREAMS};
 use crate::error::Error;
-use crate::jobs::{Job, JobList, JobsError};
+use crate::jobs::{Job, JobList};
 use crate::store::{JobFilter, JobState};
 use axum::Json;
 use axum::extract::State;
@@ -14,7 +14,8 @@ use axum::response::sse::{Event, KeepAlive, Sse};
 use futures::{Stream, stream};
 use serde::Deserialize;
 use std::convert::Infallible;
-use std::time::Duration;
+use tokio::sync::watch;
+use tokio_util::sync::CancellationToken;
 use uniground_types::problem::Problem;
 use utoipa::IntoParams;
 
@@ -29,9 +30,6 @@ pub struct JobEvent {
     /// The job, as JSON.
     data: String,
 }
-
-/// How often a job is looked at for its event stream.
-const LOOK_EVERY: Duration = Duration::from_millis(150);
 
 /// Which jobs are wanted; what is not said is any.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -121,43 +119,43 @@ pub async fn events(
     headers: HeaderMap,
 ) -> Result<Sse<impl Stream<Item = Result<Event, Infallible>>>, Refused> {
     // First: who is turned away costs nothing.
-    let place = app.event_streams.clone().try_acquire_owned();
-    let place = place.map_err(|_| Error::TooMany { what: "event streams", most: MAX_EVENT_STREAMS })?;
-    app.service.jobs.get(&job_id).await.map_err(Error::from)?;
+    let place = app.event_streams.place()?;
+    let job = app.service.jobs.follow(&job_id).await.map_err(Error::from)?;
     let seen = headers.get("last-event-id").and_then(|v| v.to_str().ok()).map(str::to_owned);
-    let stream = stream::unfold(Some(seen), move |state| {
+    let following = Following { job, seen, shutdown: app.shutdown };
+    let stream = stream::unfold(Some(following), move |following| {
         // The place is the stream's: free when it ends.
         let _ = &place;
-        let (app, job_id) = (app.clone(), job_id.clone());
-        async move { next_event(&app, &job_id, state?).await }
+        async move { next_event(following?).await }
     });
     Ok(Sse::new(stream).keep_alive(KeepAlive::default()))
 }
 
-/// The next event the caller has not seen, and what it will have seen then; `None` ends the stream.
-async fn next_event(app: &App, job_id: &str, seen: Option<String>) -> Option<(Result<Event, Infallible>, Option<Option<String>>)> {
+/// One who follows a job.
+struct Following {
+    job: watch::Receiver<Job>,
+    /// The last moment told.
+    seen: Option<String>,
+    shutdown: CancellationToken,
+}
+
+/// The next event the caller has not seen, and who goes on to follow then; `None` ends the stream.
+async fn next_event(mut following: Following) -> Option<(Result<Event, Infallible>, Option<Following>)> {
     loop {
-        if app.shutdown.is_cancelled() {
+        if following.shutdown.is_cancelled() {
             return None;
         }
-        // A database that is busy for a moment does not end the stream.
-        let job = match app.service.jobs.get_lately(job_id, LOOK_EVERY).await {
-            Err(JobsError::NotFound { .. }) => return None,
-            job => job.ok(),
-        };
-        let Some(job) = job else {
-            tokio::time::sleep(LOOK_EVERY * 10).await;
-            continue;
-        };
+        let job = following.job.borrow_and_update().clone();
         let id = event_id(&job);
         let over = job.state.is_final();
-        if over || seen.as_deref() != Some(&id) {
+        if over || following.seen.as_deref() != Some(&id) {
             let event = Event::default().id(id.clone()).event(if over { "done" } else { "progress" }).json_data(&job).ok()?;
-            return Some((Ok(event), (!over).then_some(Some(id))));
+            following.seen = Some(id);
+            return Some((Ok(event), (!over).then_some(following)));
         }
         tokio::select! {
-            () = tokio::time::sleep(LOOK_EVERY) => {}
-            () = app.shutdown.cancelled() => return None,
+            changed = following.job.changed() => changed.ok()?,
+            () = following.shutdown.cancelled() => return None,
         }
     }
 }

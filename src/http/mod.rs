@@ -43,6 +43,7 @@ use problem::Refused;
 pub use problem::told;
 pub use scopes::Scopes;
 
+use crate::error::Error;
 use crate::metrics::Metrics;
 use crate::service::Service;
 use crate::trace_context;
@@ -53,7 +54,7 @@ use axum::response::{IntoResponse, Response};
 use axum::{Router, middleware};
 use std::sync::Arc;
 use std::time::Duration;
-use tokio::sync::Semaphore;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 use tower::util::MapRequestLayer;
 use tower_http::CompressionLevel;
@@ -84,14 +85,41 @@ pub struct App {
     pub allowed_hosts: Option<Arc<AllowedHosts>>,
     /// Pages of which origins may use this server.
     pub origins: Origins,
-    /// One for each event stream that may be open.
-    pub event_streams: Arc<Semaphore>,
+    pub event_streams: EventStreams,
     /// The use cases as tools.
     pub mcp: McpOverHttp,
 }
 
-/// Event streams open at once.
-pub const MAX_EVENT_STREAMS: usize = 256;
+/// Places for event streams: one that nobody reads costs a connection and no more, so they may have half of those.
+#[derive(Clone)]
+pub struct EventStreams {
+    places: Arc<Semaphore>,
+    most: usize,
+}
+
+impl EventStreams {
+    /// Those of a server that has so many connections at most.
+    #[must_use]
+    pub fn beside(connections: usize) -> Self {
+        let most = connections / 2;
+        Self { places: Arc::new(Semaphore::new(most)), most }
+    }
+
+    /// A place, as long as it is held.
+    ///
+    /// # Errors
+    /// [`Error::TooMany`].
+    pub fn place(&self) -> Result<OwnedSemaphorePermit, Error> {
+        let place = self.places.clone().try_acquire_owned();
+        place.map_err(|_| Error::TooMany { what: "event streams", most: self.most })
+    }
+
+    /// Streams that are open.
+    #[must_use]
+    pub fn open(&self) -> usize {
+        self.most.saturating_sub(self.places.available_permits())
+    }
+}
 
 /// Bytes: a file as it is.
 #[derive(utoipa::ToSchema)]

@@ -1,7 +1,7 @@
 //! `/metrics` and `/v1/stats`, and the layer that counts requests.
 
+use super::App;
 use super::problem::Refused;
-use super::{App, MAX_EVENT_STREAMS};
 use crate::metrics::MEDIA_TYPE;
 use axum::Json;
 use axum::extract::{MatchedPath, Request, State};
@@ -36,8 +36,7 @@ pub async fn stats(State(app): State<App>) -> Result<Json<Stats>, Refused> {
     security(("key" = ["read"]), ())
 )]
 pub async fn metrics(State(app): State<App>) -> Response {
-    let streams = MAX_EVENT_STREAMS.saturating_sub(app.event_streams.available_permits());
-    app.metrics.requests.event_streams.set(streams as i64);
+    app.metrics.requests.event_streams.set(app.event_streams.open() as i64);
     ([(header::CONTENT_TYPE, MEDIA_TYPE)], app.service.scrape().await).into_response()
 }
 

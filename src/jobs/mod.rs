@@ -3,6 +3,7 @@
 //! A kind is a [`JobKind`]; [`service`](crate::service) defines them and `app` gives each its lane. A running job's progress is read from
 //! memory; its row is updated twice a second, so that a restarted server knows roughly where it was.
 
+mod followed;
 mod kind;
 mod lane;
 mod queue;

@@ -1,15 +1,14 @@
 //! Submitting, watching and cancelling jobs.
 
+use super::followed::Followed;
 use super::{Job, JobKind, JobList, job_of};
 use crate::metrics::Metrics;
 use crate::store::{JobFilter, JobRow, JobState, NewJob, Store, StoreError, page};
 use jiff::Timestamp;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
-use uniground_core::recent::Recent;
 
 #[derive(Debug, thiserror::Error)]
 pub enum JobsError {
@@ -54,16 +53,12 @@ pub struct Jobs {
     /// By kind: told when a job was queued.
     bells: Arc<Mutex<HashMap<&'static str, Arc<Notify>>>>,
     running: Arc<Mutex<HashMap<String, Running>>>,
-    /// Jobs that are followed, and when they were looked at.
-    looked_at: Arc<Recent<(Instant, Job)>>,
+    pub(super) followed: Followed,
     /// By kind: whether its lane is at work.
     lanes: Arc<Mutex<BTreeMap<&'static str, bool>>>,
     pub(super) metrics: Arc<Metrics>,
     max_queued: u32,
 }
-
-/// Jobs followed at once whose state is shared among those who follow.
-const FOLLOWED: usize = 64;
 
 impl Jobs {
     /// At most `max_queued` jobs of a kind wait.
@@ -73,7 +68,7 @@ impl Jobs {
             store,
             bells: Arc::default(),
             running: Arc::default(),
-            looked_at: Arc::new(Recent::new(FOLLOWED)),
+            followed: Followed::default(),
             lanes: Arc::default(),
             metrics: Arc::default(),
             max_queued,
@@ -168,7 +163,7 @@ impl Jobs {
     }
 
     /// The row lags behind: a running job's own word is newer.
-    fn as_it_stands(&self, mut row: JobRow) -> Job {
+    pub(super) fn as_it_stands(&self, mut row: JobRow) -> Job {
         if row.state == JobState::Running
             && let Some(running) = self.running().get(&row.id)
         {
@@ -177,26 +172,6 @@ impl Jobs {
             row.stage = (!stage.is_empty()).then(|| stage.to_owned());
         }
         job_of(row, Timestamp::now())
-    }
-
-    /// A job as it stands, or stood less than `age` ago: those who follow it look at it together.
-    ///
-    /// # Errors
-    /// [`JobsError::NotFound`].
-    pub async fn get_lately(&self, id: &str, age: Duration) -> Result<Job, JobsError> {
-        // One that runs is told from memory.
-        let running = self.running().get(id).map(|running| running.row.clone());
-        if let Some(row) = running {
-            return Ok(self.as_it_stands(JobRow::clone(&row)));
-        }
-        if let Some((at, job)) = self.looked_at.get(id)
-            && at.elapsed() < age
-        {
-            return Ok(job);
-        }
-        let job = self.get(id).await?;
-        self.looked_at.put(id.to_owned(), (Instant::now(), job.clone()), 1);
-        Ok(job)
     }
 
     /// Asks a job to stop. Queued jobs stop at once, running ones at their next check; finished ones stay as they are. A wish is written

@@ -76,7 +76,6 @@ impl Service {
     /// Waits until a scene is named, where that is wanted before the model's first question. A question goes without names where they can
     /// not be had; its answer says so.
     pub(super) async fn name_before_asking(&self, scene_id: &str, parse_id: &str, caller: &Caller) -> Result<(), Error> {
-        const LOOK_EVERY: Duration = Duration::from_millis(200);
         let wanted = self.vlm.as_ref().is_some_and(|vlm| vlm.names() == WhenNamed::Lazy);
         if !wanted || self.store.name_index(parse_id, naming::NAMING_VERSION).await?.is_some() {
             return Ok(());
@@ -87,9 +86,8 @@ impl Service {
             Some(job) => job.id,
             None => self.start_naming(scene_id, caller).await?.id,
         };
-        while !self.jobs.get_lately(&job_id, LOOK_EVERY).await?.state.is_final() {
-            tokio::time::sleep(LOOK_EVERY).await;
-        }
+        // Gone is over, too.
+        let _ = self.jobs.follow(&job_id).await?.wait_for(|job| job.state.is_final()).await;
         Ok(())
     }
 
