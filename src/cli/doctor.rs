@@ -2,9 +2,10 @@
 
 use super::output::print_json;
 use super::table;
+use crate::config::{DatabaseConfig, LimitsConfig};
 use crate::service::{Finding, Service, Trouble};
 use crate::store::Store;
-use crate::{config, telemetry};
+use crate::telemetry;
 use anyhow::{Context, bail, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::json;
@@ -14,6 +15,8 @@ pub struct DoctorArgs {
     /// Folder of the server, which must not run
     #[arg(long, env = "UNIGROUND_DATA_DIR", default_value = "./data")]
     data_dir: Utf8PathBuf,
+    #[command(flatten)]
+    database: DatabaseConfig,
     /// Make again what can be made, take strays to the quarantine, end what has no end
     #[arg(long)]
     repair: bool,
@@ -24,10 +27,11 @@ pub struct DoctorArgs {
 
 pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
-    let DoctorArgs { data_dir, repair, json: as_json } = args;
+    let DoctorArgs { data_dir, database, repair, json: as_json } = args;
     ensure!(data_dir.is_dir(), "there is no folder {data_dir}");
-    let store = Store::open_as_it_is(data_dir).await.with_context(|| format!("the data folder {data_dir}"))?;
-    let service = Service::at_rest(store.clone(), config::LimitsConfig::default().service_limits()).await?;
+    let store = Store::open_as_it_is(data_dir, &database.location).await;
+    let store = store.with_context(|| format!("the data folder {data_dir}"))?;
+    let service = Service::at_rest(store.clone(), LimitsConfig::default().service_limits()).await?;
     let findings = service.examine().await?;
     if findings.is_empty() {
         match as_json {

@@ -2,6 +2,7 @@
 
 use super::output::print_json;
 use super::table;
+use crate::config::DatabaseConfig;
 use crate::service::Keyring;
 use crate::store::Store;
 use crate::{telemetry, words};
@@ -75,6 +76,8 @@ struct Place {
     /// Folder of a server that does not run, instead: for the first key of all
     #[arg(long)]
     data_dir: Option<Utf8PathBuf>,
+    #[command(flatten)]
+    database: DatabaseConfig,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -96,15 +99,15 @@ enum Keys {
 }
 
 impl Keys {
-    async fn of(Place { server, data_dir, json: _ }: &Place) -> anyhow::Result<Self> {
+    async fn of(Place { server, data_dir, database, json: _ }: &Place) -> anyhow::Result<Self> {
         match data_dir {
-            Some(folder) => Self::of_folder(folder).await,
+            Some(folder) => Self::of_folder(folder, database).await,
             None => Ok(Self::Server(Client::new(server, std::env::var("UNIGROUND_API_KEY").ok())?)),
         }
     }
 
-    async fn of_folder(folder: &Utf8Path) -> anyhow::Result<Self> {
-        let store = Store::open_as_it_is(folder)
+    async fn of_folder(folder: &Utf8Path, database: &DatabaseConfig) -> anyhow::Result<Self> {
+        let store = Store::open_as_it_is(folder, &database.location)
             .await
             .with_context(|| format!("the data folder {folder} (while its server runs, leave --data-dir out and ask the server)"))?;
         let keys = Keyring::open(store.clone(), None).await?;

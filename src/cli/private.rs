@@ -2,7 +2,9 @@
 
 use super::server::client;
 use crate::app::{self, RunningService};
-use crate::config::{AccessConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig, VlmConfig, WebhookConfig};
+use crate::config::{
+    AccessConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig, VlmConfig, WebhookConfig,
+};
 use camino::Utf8PathBuf;
 use std::net::{Ipv4Addr, SocketAddr};
 use uniground_client::Client;
@@ -20,6 +22,7 @@ impl Private {
         let config = ServeConfig {
             listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
             data_dir,
+            database: DatabaseConfig::default(),
             access: AccessConfig::default(),
             models,
             fetch_models: false,

@@ -34,6 +34,9 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
         let bytes = bytes.map_err(|_| {
             Refused::new(StatusCode::PAYLOAD_TOO_LARGE, "body_too_large", format!("a JSON body has at most {MAX_JSON_BYTES} bytes"))
         })?;
+        if holds_nul(&bytes) {
+            return Err(Refused::invalid("body", "a text holds a NUL character, which no text has"));
+        }
         let mut reader = serde_json::Deserializer::from_slice(&bytes);
         let value = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
             let pointer: String = error.path().iter().map(|segment| format!("/{segment}")).filter(|s| s != "/?").collect();
@@ -49,6 +52,18 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
     }
 }
 
+/// Whether a text in JSON has a NUL character: not every database could keep it.
+fn holds_nul(json: &[u8]) -> bool {
+    const ESCAPED: &[u8] = b"u0000";
+    let is_escape = |at: usize| json[..at].iter().rev().take_while(|byte| **byte == b'\\').count() % 2 == 1;
+    json.windows(ESCAPED.len()).enumerate().any(|(at, window)| window == ESCAPED && is_escape(at))
+}
+
+/// Whether an address names a NUL character.
+fn names_nul(parts: &Parts) -> bool {
+    parts.uri.path_and_query().is_some_and(|address| address.as_str().contains("%00"))
+}
+
 /// Query parameters.
 pub struct Query<T>(pub T);
 
@@ -56,6 +71,9 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequestParts<S> for Query<T> {
     type Rejection = Refused;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Refused> {
+        if names_nul(parts) {
+            return Err(Refused::invalid("query", "it holds a NUL character, which no text has"));
+        }
         match axum::extract::Query::<T>::from_request_parts(parts, state).await {
             Ok(axum::extract::Query(value)) => Ok(Self(value)),
             Err(rejection) => {
@@ -74,9 +92,30 @@ impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T>
     type Rejection = Refused;
 
     async fn from_request_parts(parts: &mut Parts, state: &S) -> Result<Self, Refused> {
+        if names_nul(parts) {
+            return Err(Refused::new(StatusCode::NOT_FOUND, "not_found", "nothing has a name with a NUL character"));
+        }
         match axum::extract::Path::<T>::from_request_parts(parts, state).await {
             Ok(axum::extract::Path(value)) => Ok(Self(value)),
             Err(rejection) => Err(Refused::new(StatusCode::NOT_FOUND, "not_found", rejection.body_text())),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_nul_is_seen_where_it_is_one() {
+        for (json, expected) in [
+            (r#"{"query": "a\u0000b"}"#, true),
+            (r#"{"query": "a\\\u0000b"}"#, true),
+            (r#"{"query": "a\\u0000b"}"#, false),
+            (r#"{"query": "u0000"}"#, false),
+            ("{}", false),
+        ] {
+            assert_eq!(holds_nul(json.as_bytes()), expected, "{json}");
         }
     }
 }

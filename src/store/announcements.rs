@@ -1,5 +1,6 @@
 //! Ends of jobs that somebody wants to be told of.
 
+use super::database::number;
 use super::jobs::after;
 use super::{Store, StoreError, now};
 use std::time::Duration;
@@ -10,9 +11,10 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn due_announcements(&self, limit: u32) -> Result<Vec<(String, u32)>, StoreError> {
-        let sql = "SELECT job_id, attempts FROM announcements WHERE not_before IS NULL OR not_before <= ?
-                   ORDER BY coalesce(not_before, ''), job_id LIMIT ?";
-        Ok(sqlx::query_as(sql).bind(now()).bind(limit).fetch_all(&self.reader).await?)
+        let sql = "SELECT job_id, attempts FROM announcements WHERE not_before IS NULL OR not_before <= $1
+                   ORDER BY coalesce(not_before, ''), job_id LIMIT $2";
+        let due: Vec<(String, i64)> = sqlx::query_as(sql).bind(now()).bind(i64::from(limit)).fetch_all(&self.reader).await?;
+        Ok(due.into_iter().map(|(id, attempts)| Ok((id, number(attempts)?))).collect::<sqlx::Result<_>>()?)
     }
 
     /// Puts an announcement off that was not taken.
@@ -20,7 +22,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn put_off_announcement(&self, job_id: &str, wait: Duration) -> Result<(), StoreError> {
-        let sql = "UPDATE announcements SET attempts = attempts + 1, not_before = ? WHERE job_id = ?";
+        let sql = "UPDATE announcements SET attempts = attempts + 1, not_before = $1 WHERE job_id = $2";
         sqlx::query(sql).bind(after(wait)).bind(job_id).execute(self.writer.pool()).await?;
         Ok(())
     }
@@ -30,7 +32,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn forget_announcement(&self, job_id: &str) -> Result<(), StoreError> {
-        sqlx::query("DELETE FROM announcements WHERE job_id = ?")
+        sqlx::query("DELETE FROM announcements WHERE job_id = $1")
             .bind(job_id)
             .execute(self.writer.pool())
             .await?;
@@ -43,10 +45,9 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn note_announcements(&self) -> Result<(), StoreError> {
-        let sql = "CREATE TRIGGER IF NOT EXISTS jobs_that_end AFTER UPDATE OF state ON jobs
-                   WHEN NEW.state IN ('succeeded', 'failed', 'cancelled') AND OLD.state NOT IN ('succeeded', 'failed', 'cancelled')
-                   BEGIN INSERT OR IGNORE INTO announcements (job_id) VALUES (NEW.id); END";
-        sqlx::query(sql).execute(self.writer.pool()).await?;
+        for &sql in self.engine.note_ends() {
+            sqlx::query(sql).execute(self.writer.pool()).await?;
+        }
         Ok(())
     }
 
@@ -55,7 +56,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn note_no_announcements(&self) -> Result<(), StoreError> {
-        for sql in ["DROP TRIGGER IF EXISTS jobs_that_end", "DELETE FROM announcements"] {
+        for sql in [self.engine.note_no_ends(), "DELETE FROM announcements"] {
             sqlx::query(sql).execute(self.writer.pool()).await?;
         }
         Ok(())

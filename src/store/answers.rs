@@ -1,11 +1,12 @@
 //! Answers, kept as they were given.
 
+use super::database::Conditions;
 use super::records::RECORD_VERSION;
 use super::writer::Writer;
 use super::{Store, StoreError, now};
 use jiff::Timestamp;
-use sqlx::sqlite::{Sqlite, SqliteRow};
-use sqlx::{FromRow, QueryBuilder, Row};
+use sqlx::any::AnyRow;
+use sqlx::{FromRow, Row};
 use std::sync::Arc;
 use tokio::sync::{mpsc, oneshot};
 
@@ -18,8 +19,8 @@ pub struct AnswerRow {
     pub body: String,
 }
 
-impl FromRow<'_, SqliteRow> for AnswerRow {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+impl FromRow<'_, AnyRow> for AnswerRow {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
         Ok(Self { id: row.try_get("id")?, parse_id: row.try_get("parse_id")?, body: row.try_get("body")? })
     }
 }
@@ -85,8 +86,8 @@ impl AnswerQueue {
 /// Writes answers as one; for each, whether its scene and parse were still there.
 async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, StoreError> {
     let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at, record_version)
-               SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE EXISTS (SELECT 1 FROM scenes WHERE id = ?2) AND EXISTS (SELECT 1 FROM parses WHERE id = ?3)
-               ON CONFLICT (id) DO UPDATE SET id = id";
+               SELECT $1, $2, $3, $4, $5, $6 WHERE EXISTS (SELECT 1 FROM scenes WHERE id = $2) AND EXISTS (SELECT 1 FROM parses WHERE id = $3)
+               ON CONFLICT (id) DO UPDATE SET id = answers.id";
     let time = now();
     let mut tx = writer.begin().await?;
     let mut kept = Vec::with_capacity(answers.len());
@@ -97,7 +98,7 @@ async fn write(writer: &Writer, answers: &[NewAnswer]) -> Result<Vec<bool>, Stor
             .bind(parse_id)
             .bind(body)
             .bind(&time)
-            .bind(RECORD_VERSION)
+            .bind(i64::from(RECORD_VERSION))
             .execute(&mut *tx)
             .await?;
         kept.push(inserted.rows_affected() > 0);
@@ -114,8 +115,8 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn question_of_key(&self, key: &str, request: &str, answer_id: &str) -> Result<(String, String), StoreError> {
         let mut tx = self.writer.begin().await?;
-        let sql = "INSERT INTO question_keys (key, request, answer_id, created_at) VALUES (?, ?, ?, ?)
-                   ON CONFLICT (key) DO UPDATE SET key = key RETURNING request, answer_id";
+        let sql = "INSERT INTO question_keys (key, request, answer_id, created_at) VALUES ($1, $2, $3, $4)
+                   ON CONFLICT (key) DO UPDATE SET key = question_keys.key RETURNING request, answer_id";
         let row = sqlx::query_as(sql).bind(key).bind(request).bind(answer_id).bind(now());
         let row = row.fetch_one(&mut *tx).await?;
         tx.commit().await?;
@@ -136,7 +137,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn answer(&self, id: &str) -> Result<Option<AnswerRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT id, parse_id, body FROM answers WHERE id = ?")
+        Ok(sqlx::query_as("SELECT id, parse_id, body FROM answers WHERE id = $1")
             .bind(id)
             .fetch_optional(&self.reader)
             .await?)
@@ -149,33 +150,26 @@ impl Store {
     pub async fn answers(&self, filter: &AnswerFilter, limit: u32, cursor: Option<&str>) -> Result<Vec<AnswerRow>, StoreError> {
         let AnswerFilter { scene_id, batch_id, status, since, until } = filter;
         // Only what is asked for stands in the statement, so that the index of that is used.
-        let mut sql = QueryBuilder::<Sqlite>::new("SELECT answers.id, parse_id, body FROM ");
-        match batch_id {
+        let columns = "SELECT answers.id, parse_id, body FROM";
+        let mut which = match batch_id {
             // Through the batch, a page at a time.
-            Some(batch_id) => {
-                sql.push("batch_items CROSS JOIN answers ON answers.id = answer_id WHERE batch_id = ")
-                    .push_bind(batch_id);
-                if let Some(cursor) = cursor {
-                    sql.push(" AND answer_id < ").push_bind(cursor);
-                }
+            Some(_) => {
+                let join = self.engine.in_this_order();
+                Conditions::behind(format!("{columns} batch_items {join} answers ON answers.id = answer_id WHERE true"))
             }
-            None => drop(sql.push("answers WHERE true")),
-        }
+            None => Conditions::behind(format!("{columns} answers WHERE true")),
+        };
+        which.and("batch_id =", batch_id.as_ref());
+        which.and("answer_id <", cursor.filter(|_| batch_id.is_some()));
+        which.and("answers.id <", cursor);
         // An item of a batch has its answer's id long before it is asked: ids do not tell when an answer was given.
-        for (condition, value) in [
-            (" AND answers.id < ", cursor.map(str::to_owned)),
-            (" AND answers.created_at >= ", since.map(|time| time.to_string())),
-            (" AND answers.created_at < ", until.map(|time| time.to_string())),
-            (" AND answers.scene_id = ", scene_id.clone()),
-            (" AND answers.status = ", status.clone()),
-        ] {
-            if let Some(value) = value {
-                sql.push(condition).push_bind(value);
-            }
-        }
-        let order = if batch_id.is_some() { "answer_id" } else { "answers.id" };
-        sql.push(format!(" ORDER BY {order} DESC LIMIT ")).push_bind(limit);
-        Ok(sql.build_query_as().fetch_all(&self.reader).await?)
+        which.and("answers.created_at >=", since.map(|time| time.to_string()));
+        which.and("answers.created_at <", until.map(|time| time.to_string()));
+        which.and("answers.scene_id =", scene_id.as_ref());
+        which.and("answers.status =", status.as_ref());
+        which
+            .first(if batch_id.is_some() { "answer_id DESC" } else { "answers.id DESC" }, limit, &self.reader)
+            .await
     }
 
     /// Removes some answers of a scene, few enough that nobody waits long for the database. Their ids; none when none are left.
@@ -183,7 +177,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn delete_some_answers(&self, scene_id: &str) -> Result<Vec<String>, StoreError> {
-        let sql = "DELETE FROM answers WHERE id IN (SELECT id FROM answers WHERE scene_id = ? LIMIT 500) RETURNING id";
+        let sql = "DELETE FROM answers WHERE id IN (SELECT id FROM answers WHERE scene_id = $1 LIMIT 500) RETURNING id";
         Ok(sqlx::query_scalar(sql).bind(scene_id).fetch_all(self.writer.pool()).await?)
     }
 }

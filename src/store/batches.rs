@@ -1,7 +1,8 @@
 //! Batches and their items.
 
+use super::database::{number, without_nul};
 use super::{JobRow, NewJob, Store, StoreError, now};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
 use std::collections::BTreeMap;
 
@@ -23,15 +24,15 @@ pub struct BatchRow {
     pub finished_at: Option<String>,
 }
 
-impl FromRow<'_, SqliteRow> for BatchRow {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+impl FromRow<'_, AnyRow> for BatchRow {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
         Ok(Self {
             id: row.try_get("id")?,
             label: row.try_get("label")?,
             state: row.try_get("state")?,
             reason: row.try_get("reason")?,
-            items: row.try_get("items")?,
-            concurrency: row.try_get("concurrency")?,
+            items: number(row.try_get("items")?)?,
+            concurrency: row.try_get::<Option<i64>, _>("concurrency")?.map(number).transpose()?,
             max_cost_usd: row.try_get("max_cost_usd")?,
             job_id: row.try_get("job_id")?,
             request: row.try_get("request")?,
@@ -116,12 +117,13 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn insert_batch(&self, new: NewBatch<'_>) -> Result<String, StoreError> {
         let id = self.new_id();
-        let sql =
-            "INSERT INTO batches (id, label, state, concurrency, max_cost_usd, key_id, created_at) VALUES (?, ?, 'receiving', ?, ?, ?, ?)";
+        let sql = "INSERT INTO batches (id, label, state, concurrency, max_cost_usd, key_id, created_at) VALUES ($1, $2, 'receiving', $3, $4, $5, $6)";
+        // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that is.
         sqlx::query(sql)
+            .persistent(false)
             .bind(&id)
             .bind(new.label)
-            .bind(new.concurrency)
+            .bind(new.concurrency.map(i64::from))
             .bind(new.max_cost_usd)
             .bind(new.key_id)
             .bind(now())
@@ -135,13 +137,13 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn insert_batch_items(&self, batch_id: &str, first: u32, items: &[NewItem]) -> Result<(), StoreError> {
-        let sql = "INSERT INTO batch_items (batch_id, item, scene_id, request, answer_id) VALUES (?, ?, ?, ?, ?)";
+        let sql = "INSERT INTO batch_items (batch_id, item, scene_id, request, answer_id) VALUES ($1, $2, $3, $4, $5)";
         let mut tx = self.writer.begin().await?;
         for (item, NewItem { scene_id, request }) in (first..).zip(items) {
             sqlx::query(sql)
                 .bind(batch_id)
-                .bind(item)
-                .bind(scene_id)
+                .bind(i64::from(item))
+                .bind(&*without_nul(scene_id))
                 .bind(request)
                 .bind(self.new_id())
                 .execute(&mut *tx)
@@ -164,7 +166,8 @@ impl Store {
     ) -> Result<Submitted, StoreError> {
         let mut tx = self.writer.begin().await?;
         if let Some(key) = key {
-            let before: Option<BatchRow> = sqlx::query_as("SELECT * FROM batches WHERE key = ?").bind(key).fetch_optional(&mut *tx).await?;
+            let before: Option<BatchRow> =
+                sqlx::query_as("SELECT * FROM batches WHERE key = $1").bind(key).fetch_optional(&mut *tx).await?;
             if let Some(before) = before {
                 tx.forget().await?;
                 let same = before.request.as_deref() == Some(request);
@@ -172,9 +175,9 @@ impl Store {
             }
         }
         let job = super::jobs::insert(&mut tx, &self.new_id(), id, job).await?;
-        let sql = "UPDATE batches SET state = 'running', items = ?, request = ?, key = ?, job_id = ? WHERE id = ?";
+        let sql = "UPDATE batches SET state = 'running', items = $1, request = $2, key = $3, job_id = $4 WHERE id = $5";
         sqlx::query(sql)
-            .bind(items)
+            .bind(i64::from(items))
             .bind(request)
             .bind(key)
             .bind(&job.id)
@@ -190,7 +193,10 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn batch_of_idempotency_key(&self, key: &str) -> Result<Option<BatchRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM batches WHERE key = ?").bind(key).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT * FROM batches WHERE key = $1")
+            .bind(key)
+            .fetch_optional(&self.reader)
+            .await?)
     }
 
     /// Removes a batch with its items; its answers stay.
@@ -198,7 +204,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn delete_batch(&self, id: &str) -> Result<(), StoreError> {
-        sqlx::query("DELETE FROM batches WHERE id = ?").bind(id).execute(self.writer.pool()).await?;
+        sqlx::query("DELETE FROM batches WHERE id = $1").bind(id).execute(self.writer.pool()).await?;
         Ok(())
     }
 
@@ -214,7 +220,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn batch(&self, id: &str) -> Result<Option<BatchRow>, StoreError> {
-        let sql = "SELECT * FROM batches WHERE id = ? AND state != 'receiving'";
+        let sql = "SELECT * FROM batches WHERE id = $1 AND state != 'receiving'";
         Ok(sqlx::query_as(sql).bind(id).fetch_optional(&self.reader).await?)
     }
 
@@ -223,8 +229,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<BatchRow>, StoreError> {
-        let sql = "SELECT * FROM batches WHERE (?1 IS NULL OR id < ?1) AND state != 'receiving' ORDER BY id DESC LIMIT ?2";
-        Ok(sqlx::query_as(sql).bind(cursor).bind(limit).fetch_all(&self.reader).await?)
+        let sql = "SELECT * FROM batches WHERE ($1 IS NULL OR id < $1) AND state != 'receiving' ORDER BY id DESC LIMIT $2";
+        Ok(sqlx::query_as(sql).bind(cursor).bind(i64::from(limit)).fetch_all(&self.reader).await?)
     }
 
     /// How many items have each status, and what they cost.
@@ -232,11 +238,11 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn batch_figures(&self, id: &str) -> Result<(BTreeMap<String, u32>, f64), StoreError> {
-        let sql = "SELECT status, count(*) AS number, total(cost_usd) AS usd FROM batch_items
-                   WHERE batch_id = ? AND status IS NOT NULL GROUP BY status";
+        let sql = "SELECT status, count(*) AS number, sum(cost_usd) AS usd FROM batch_items
+                   WHERE batch_id = $1 AND status IS NOT NULL GROUP BY status";
         let (mut numbers, mut usd) = (BTreeMap::new(), 0.0);
         for row in sqlx::query(sql).bind(id).fetch_all(&self.reader).await? {
-            numbers.insert(row.try_get("status")?, row.try_get("number")?);
+            numbers.insert(row.try_get("status")?, number(row.try_get("number")?)?);
             usd += row.try_get::<f64, _>("usd")?;
         }
         Ok((numbers, usd))
@@ -247,11 +253,12 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn open_batch_items(&self, id: &str, limit: u32) -> Result<Vec<OpenItem>, StoreError> {
-        let sql = "SELECT item, scene_id, request, answer_id FROM batch_items WHERE batch_id = ? AND status IS NULL ORDER BY item LIMIT ?";
-        let rows = sqlx::query(sql).bind(id).bind(limit).fetch_all(&self.reader).await?;
-        let open = |row: &SqliteRow| {
+        let sql =
+            "SELECT item, scene_id, request, answer_id FROM batch_items WHERE batch_id = $1 AND status IS NULL ORDER BY item LIMIT $2";
+        let rows = sqlx::query(sql).bind(id).bind(i64::from(limit)).fetch_all(&self.reader).await?;
+        let open = |row: &AnyRow| {
             Ok(OpenItem {
-                item: row.try_get("item")?,
+                item: number(row.try_get("item")?)?,
                 scene_id: row.try_get("scene_id")?,
                 request: row.try_get("request")?,
                 answer_id: row.try_get("answer_id")?,
@@ -265,7 +272,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn close_batch_items(&self, id: &str, closed: &[ClosedItem]) -> Result<(), StoreError> {
-        let sql = "UPDATE batch_items SET status = ?, cost_usd = ?, error_code = ?, error = ? WHERE batch_id = ? AND item = ?";
+        let sql = "UPDATE batch_items SET status = $1, cost_usd = $2, error_code = $3, error = $4 WHERE batch_id = $5 AND item = $6";
         let mut tx = self.writer.begin().await?;
         for ClosedItem { item, status, cost_usd, error } in closed {
             let (code, detail) = error.as_ref().map_or((None, None), |(code, detail)| (Some(code), Some(detail)));
@@ -275,7 +282,7 @@ impl Store {
                 .bind(code)
                 .bind(detail)
                 .bind(id)
-                .bind(item)
+                .bind(i64::from(*item))
                 .execute(&mut *tx)
                 .await?;
         }
@@ -288,8 +295,8 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn move_batch(&self, id: &str, from: &[&str], to: &str, reason: Option<&str>) -> Result<bool, StoreError> {
         let finished = matches!(to, "succeeded" | "cancelled").then(now);
-        let sql = "UPDATE batches SET state = ?1, reason = ?2, finished_at = ?3
-                   WHERE id = ?4 AND instr(',' || ?5 || ',', ',' || state || ',') > 0";
+        let sql = "UPDATE batches SET state = $1, reason = $2, finished_at = $3
+                   WHERE id = $4 AND ',' || $5 || ',' LIKE '%,' || state || ',%'";
         let moved = sqlx::query(sql)
             .bind(to)
             .bind(reason)
@@ -308,20 +315,20 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn resume_batch(&self, id: &str, job: &NewJob<'_>) -> Result<Resumed, StoreError> {
         let mut tx = self.writer.begin().await?;
-        let resume = "UPDATE batches SET state = 'running', reason = NULL WHERE id = ? AND state IN ('running', 'paused')";
+        let resume = "UPDATE batches SET state = 'running', reason = NULL WHERE id = $1 AND state IN ('running', 'paused')";
         if sqlx::query(resume).bind(id).execute(&mut *tx).await?.rows_affected() == 0 {
             tx.forget().await?;
             return Ok(Resumed::Over);
         }
         let works = "SELECT count(*) FROM jobs JOIN batches ON jobs.id = job_id
-                     WHERE batches.id = ? AND jobs.state IN ('queued', 'running')";
-        let works: u32 = sqlx::query_scalar(works).bind(id).fetch_one(&mut *tx).await?;
+                     WHERE batches.id = $1 AND jobs.state IN ('queued', 'running')";
+        let works: i64 = sqlx::query_scalar(works).bind(id).fetch_one(&mut *tx).await?;
         if works > 0 {
             tx.commit().await?;
             return Ok(Resumed::GoesOn);
         }
         let job = super::jobs::insert(&mut tx, &self.new_id(), id, job).await?;
-        sqlx::query("UPDATE batches SET job_id = ? WHERE id = ?")
+        sqlx::query("UPDATE batches SET job_id = $1 WHERE id = $2")
             .bind(&job.id)
             .bind(id)
             .execute(&mut *tx)
@@ -337,12 +344,17 @@ impl Store {
     pub async fn batch_items(&self, id: &str, from: u32, limit: u32) -> Result<Vec<ItemRow>, StoreError> {
         let sql = "SELECT item, batch_items.scene_id, request, answer_id, batch_items.status, error_code, error, body
                    FROM batch_items LEFT JOIN answers ON answers.id = answer_id
-                   WHERE batch_id = ? AND item >= ? ORDER BY item LIMIT ?";
-        let rows = sqlx::query(sql).bind(id).bind(from).bind(limit).fetch_all(&self.reader).await?;
-        let item = |row: &SqliteRow| {
+                   WHERE batch_id = $1 AND item >= $2 ORDER BY item LIMIT $3";
+        let rows = sqlx::query(sql)
+            .bind(id)
+            .bind(i64::from(from))
+            .bind(i64::from(limit))
+            .fetch_all(&self.reader)
+            .await?;
+        let item = |row: &AnyRow| {
             let (code, detail): (Option<String>, Option<String>) = (row.try_get("error_code")?, row.try_get("error")?);
             Ok(ItemRow {
-                item: row.try_get("item")?,
+                item: number(row.try_get("item")?)?,
                 scene_id: row.try_get("scene_id")?,
                 request: row.try_get("request")?,
                 answer_id: row.try_get("answer_id")?,

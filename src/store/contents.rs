@@ -8,7 +8,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn has_content(&self, hash: &str) -> Result<bool, StoreError> {
-        let found: Option<i64> = sqlx::query_scalar("SELECT 1 FROM contents WHERE hash = ?")
+        let found: Option<i64> = sqlx::query_scalar("SELECT 1 FROM contents WHERE hash = $1")
             .bind(hash)
             .fetch_optional(&self.reader)
             .await?;

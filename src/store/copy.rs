@@ -2,6 +2,7 @@
 
 use super::blobs::Blobs;
 use super::data_folder::DataFolder;
+use super::database::Connections;
 use super::{Store, StoreError};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
@@ -19,6 +20,8 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`]: a server runs there, or it is no data folder.
+    ///
+    /// Only SQLite's databases can be copied so.
     pub async fn open_copy(data_dir: &Utf8Path) -> Result<Self, StoreError> {
         let path = data_dir.to_owned();
         let copied = spawn_blocking(move || {
@@ -34,7 +37,7 @@ impl Store {
             Ok::<_, StoreError>((folder, elsewhere, database))
         });
         let (folder, elsewhere, database) = copied.await.map_err(io::Error::other)??;
-        let store = Self::connect(&database, folder, Blobs::look_only(data_dir)).await?;
+        let store = Self::connect(Connections::to_file(&database).await?, folder, Blobs::look_only(data_dir)).await?;
         Ok(Self { _copy: Some(Arc::<TempDir>::new(elsewhere)), ..store })
     }
 }

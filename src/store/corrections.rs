@@ -1,8 +1,9 @@
 //! What people say of parses that are wrong.
 
+use super::database::number;
 use super::parses::insert_instance;
 use super::{Store, StoreError, now};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
 use uniground_core::scene::{Instance, InstanceId};
 use uniground_types::corrections::{Change, Correction};
@@ -16,12 +17,12 @@ struct CorrectionRow {
     undone_at: Option<String>,
 }
 
-impl FromRow<'_, SqliteRow> for CorrectionRow {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+impl FromRow<'_, AnyRow> for CorrectionRow {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
         Ok(Self {
             id: row.try_get("id")?,
             change: row.try_get("change")?,
-            made: row.try_get("made")?,
+            made: row.try_get::<Option<i64>, _>("made")?.map(number).transpose()?,
             author: row.try_get("author")?,
             created_at: row.try_get("created_at")?,
             undone_at: row.try_get("undone_at")?,
@@ -53,9 +54,10 @@ impl Store {
     pub async fn insert_correction(&self, new: NewCorrection<'_>, most: u32) -> Result<Option<Correction>, StoreError> {
         let NewCorrection { parse_id, change, author, made } = new;
         let mut tx = self.writer.begin().await?;
-        let sql = "SELECT (SELECT count(*) FROM corrections WHERE parse_id = ?1), (SELECT max(id) FROM instances WHERE parse_id = ?1)";
-        let (count, last): (u32, Option<u32>) = sqlx::query_as(sql).bind(parse_id).fetch_one(&mut *tx).await?;
-        let Some(last) = last.filter(|_| count < most) else {
+        let sql = "SELECT (SELECT count(*) FROM corrections WHERE parse_id = $1), (SELECT max(id) FROM instances WHERE parse_id = $1)";
+        let (count, last): (i64, Option<i64>) = sqlx::query_as(sql).bind(parse_id).fetch_one(&mut *tx).await?;
+        let last: Option<u32> = last.filter(|_| count < i64::from(most)).map(number).transpose()?;
+        let Some(last) = last else {
             tx.forget().await?;
             return Ok(None);
         };
@@ -71,11 +73,11 @@ impl Store {
             created_at: now(),
             undone_at: None,
         };
-        sqlx::query("INSERT INTO corrections (id, parse_id, change, made, author, created_at) VALUES (?, ?, ?, ?, ?, ?)")
+        sqlx::query("INSERT INTO corrections (id, parse_id, change, made, author, created_at) VALUES ($1, $2, $3, $4, $5, $6)")
             .bind(&correction.id)
             .bind(parse_id)
             .bind(serde_json::to_string(change)?)
-            .bind(correction.made.map(|id| id.0))
+            .bind(correction.made.map(|id| i64::from(id.0)))
             .bind(author)
             .bind(&correction.created_at)
             .execute(&mut *tx)
@@ -89,7 +91,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn corrections(&self, parse_id: &str) -> Result<Vec<Correction>, StoreError> {
-        let sql = "SELECT * FROM corrections WHERE parse_id = ? ORDER BY id";
+        let sql = "SELECT * FROM corrections WHERE parse_id = $1 ORDER BY id";
         let rows: Vec<CorrectionRow> = sqlx::query_as(sql).bind(parse_id).fetch_all(&self.reader).await?;
         rows.into_iter().map(CorrectionRow::read).collect()
     }
@@ -99,7 +101,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn undo_correction(&self, id: &str) -> Result<(), StoreError> {
-        let sql = "UPDATE corrections SET undone_at = ? WHERE id = ? AND undone_at IS NULL";
+        let sql = "UPDATE corrections SET undone_at = $1 WHERE id = $2 AND undone_at IS NULL";
         sqlx::query(sql).bind(now()).bind(id).execute(self.writer.pool()).await?;
         Ok(())
     }

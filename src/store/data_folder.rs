@@ -2,12 +2,13 @@
 //!
 //! ```text
 //! uniground-data.json   that this is a data folder, and its id
-//! uniground.sqlite      the database, which knows the same id
+//! uniground.sqlite      the database, which knows the same id; not where that is PostgreSQL's
 //! reserve               a few megabytes to let go of when the disk is full: deleting needs room too
 //! blobs/  uploads/  tmp/   see `blobs`
 //! quarantine/<day>/...  what no record speaks of, kept for a while
 //! ```
 
+use super::database::Engine;
 use super::{StoreError, now};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
@@ -30,6 +31,9 @@ struct Marker {
     format: u32,
     id: String,
     created_at: String,
+    /// Where its rows are.
+    #[serde(default)]
+    database: Engine,
 }
 
 /// A data folder that is ours alone as long as this lives: two servers over one would take each other's jobs and files.
@@ -42,11 +46,25 @@ pub(super) struct DataFolder {
 }
 
 impl DataFolder {
+    /// Whether a folder, if it is a data folder already, keeps its rows where somebody means.
+    ///
+    /// # Errors
+    /// [`StoreError::OtherDatabase`], or what the file system says.
+    pub fn goes_with(path: &Utf8Path, engine: Engine) -> Result<(), StoreError> {
+        let kept_in = match fs::read(path.join(MARKER)) {
+            Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.database,
+            Err(error) if error.kind() == io::ErrorKind::NotFound && path.join(DATABASE).exists() => Engine::Sqlite,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => engine,
+            Err(error) => return Err(error.into()),
+        };
+        if kept_in == engine { Ok(()) } else { Err(StoreError::OtherDatabase { kept_in: kept_in.name() }) }
+    }
+
     /// Opens a data folder, or makes one of a folder that is empty or not there.
     ///
     /// # Errors
     /// [`StoreError::NotOurs`] for a folder with other things in it, [`StoreError::InUse`], or what the file system says.
-    pub fn open(path: &Utf8Path) -> Result<Self, StoreError> {
+    pub fn open(path: &Utf8Path, engine: Engine) -> Result<Self, StoreError> {
         fs::create_dir_all(path)?;
         let marker = path.join(MARKER);
         // Data folders of before there were markers have a database.
@@ -67,7 +85,7 @@ impl DataFolder {
             Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.id,
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 let id = Uuid::new_v4().to_string();
-                mark(path, &id)?;
+                mark(path, &id, engine)?;
                 id
             }
             Err(error) => return Err(error.into()),
@@ -79,12 +97,15 @@ impl DataFolder {
         Ok(folder)
     }
 
-    /// Looks at a data folder no server uses, and keeps servers away meanwhile. Nothing is written.
+    /// Looks at a data folder no server uses, whose database is SQLite's, and keeps servers away meanwhile. Nothing is written.
     ///
     /// # Errors
-    /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], or what the file system says.
+    /// [`StoreError::NoDataFolder`], [`StoreError::InUse`], [`StoreError::OnlyOfSqlite`], or what the file system says.
     pub fn look(path: &Utf8Path) -> Result<Self, StoreError> {
-        let id = Self::identity(path)?;
+        let (id, engine) = Self::identity(path)?;
+        if engine != Engine::Sqlite {
+            return Err(StoreError::OnlyOfSqlite { kept_in: engine.name() });
+        }
         let lock = match File::open(path.join(LOCK)) {
             Ok(lock) => Some(lock),
             Err(error) if error.kind() == io::ErrorKind::NotFound => None,
@@ -97,14 +118,20 @@ impl DataFolder {
         }
     }
 
-    /// The id of a data folder, whoever uses it; a new one where it is of before folders had ids.
-    pub fn identity(path: &Utf8Path) -> Result<String, StoreError> {
-        if !path.join(DATABASE).is_file() {
-            return Err(StoreError::NoDataFolder { folder: path.to_owned() });
-        }
+    /// The id of a data folder and its database, whoever uses it; a new one where it is of before folders had ids.
+    pub fn identity(path: &Utf8Path) -> Result<(String, Engine), StoreError> {
         match fs::read(path.join(MARKER)) {
-            Ok(bytes) => Ok(serde_json::from_slice::<Marker>(&bytes)?.id),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Uuid::new_v4().to_string()),
+            Ok(bytes) => {
+                let Marker { id, database, .. } = serde_json::from_slice(&bytes)?;
+                match database {
+                    Engine::Sqlite if !path.join(DATABASE).is_file() => Err(StoreError::NoDataFolder { folder: path.to_owned() }),
+                    _ => Ok((id, database)),
+                }
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound && path.join(DATABASE).is_file() => {
+                Ok((Uuid::new_v4().to_string(), Engine::Sqlite))
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Err(StoreError::NoDataFolder { folder: path.to_owned() }),
             Err(error) => Err(error.into()),
         }
     }
@@ -146,8 +173,8 @@ impl DataFolder {
 }
 
 /// Marks a folder as a data folder of this id.
-pub(super) fn mark(folder: &Utf8Path, id: &str) -> io::Result<()> {
-    let text = serde_json::to_vec_pretty(&Marker { format: 1, id: id.to_owned(), created_at: now() })?;
+pub(super) fn mark(folder: &Utf8Path, id: &str, database: Engine) -> io::Result<()> {
+    let text = serde_json::to_vec_pretty(&Marker { format: 1, id: id.to_owned(), created_at: now(), database })?;
     write_synced(&folder.join(MARKER), &text)
 }
 
@@ -187,7 +214,7 @@ mod tests {
             let opened = thread::scope(|scope| {
                 let open = || {
                     begin.wait();
-                    let opened = DataFolder::open(&path);
+                    let opened = DataFolder::open(&path, Engine::Sqlite);
                     end.wait();
                     opened.map(|folder| folder.id)
                 };
@@ -210,10 +237,10 @@ mod tests {
         let place = tempfile::tempdir().unwrap();
         let path = Utf8Path::from_path(place.path()).unwrap();
         fs::write(path.join(UNFINISHED_MARKER), "{").unwrap();
-        assert!(DataFolder::open(path).is_ok());
+        assert!(DataFolder::open(path, Engine::Sqlite).is_ok());
         let other = tempfile::tempdir().unwrap();
         let other = Utf8Path::from_path(other.path()).unwrap();
         fs::write(other.join("thesis.txt"), "words").unwrap();
-        assert!(matches!(DataFolder::open(other), Err(StoreError::NotOurs { .. })));
+        assert!(matches!(DataFolder::open(other, Engine::Sqlite), Err(StoreError::NotOurs { .. })));
     }
 }

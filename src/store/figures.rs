@@ -1,8 +1,9 @@
 //! How much is stored, in numbers. Read beside whoever writes.
 
+use super::database::{Engine, number};
 use super::{Store, StoreError};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row};
+use sqlx::any::AnyRow;
+use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeMap;
 use std::fs;
 use std::io;
@@ -35,9 +36,14 @@ pub struct JobFigures {
     pub oldest: String,
 }
 
-impl FromRow<'_, SqliteRow> for JobFigures {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        Ok(Self { kind: row.try_get("kind")?, state: row.try_get("state")?, jobs: row.try_get("jobs")?, oldest: row.try_get("oldest")? })
+impl FromRow<'_, AnyRow> for JobFigures {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
+        Ok(Self {
+            kind: row.try_get("kind")?,
+            state: row.try_get("state")?,
+            jobs: number(row.try_get("jobs")?)?,
+            oldest: row.try_get("oldest")?,
+        })
     }
 }
 
@@ -48,31 +54,55 @@ impl Store {
     /// [`StoreError`].
     pub async fn figures(&self) -> Result<Figures, StoreError> {
         // Instances as reports tell them: to count them would be to read them.
-        let counts = "SELECT (SELECT count(*) FROM scenes), (SELECT count(*) FROM parses),
-                      (SELECT coalesce(sum(coalesce(json_extract(parse_report, '$.instances'), 0)
-                                           + coalesce(json_extract(parse_report, '$.parts_and_wholes'), 0)), 0) FROM parses),
-                      (SELECT count(*) FROM answers)";
-        let (scenes, parses, instances, answers) = sqlx::query_as(counts).fetch_one(&self.reader).await?;
-        let batches: Vec<(String, u32)> =
+        let (things, others) =
+            (self.engine.number_in("parse_report", "instances"), self.engine.number_in("parse_report", "parts_and_wholes"));
+        let counts = format!(
+            "SELECT (SELECT count(*) FROM scenes), (SELECT count(*) FROM parses),
+             (SELECT CAST(coalesce(sum({things} + {others}), 0) AS bigint) FROM parses), (SELECT count(*) FROM answers)"
+        );
+        let counts: (i64, i64, i64, i64) = sqlx::query_as(AssertSqlSafe(counts)).fetch_one(&self.reader).await?;
+        let batches: Vec<(String, i64)> =
             sqlx::query_as("SELECT state, count(*) FROM batches GROUP BY state").fetch_all(&self.reader).await?;
-        // Ids are in order of time: the least is the oldest, and SQLite takes the other columns from its row.
-        let jobs = "SELECT kind, state, count(*) AS jobs, min(id), created_at AS oldest FROM jobs GROUP BY kind, state";
+        let batches = batches
+            .into_iter()
+            .map(|(state, batches)| Ok((state, number(batches)?)))
+            .collect::<sqlx::Result<_>>()?;
+        let jobs = "SELECT kind, state, count(*) AS jobs, min(created_at) AS oldest FROM jobs GROUP BY kind, state ORDER BY kind, state";
         let jobs = sqlx::query_as(jobs).fetch_all(&self.reader).await?;
-        let folder = self.folder.clone();
+        let (folder, of_server) = (self.folder.clone(), self.bytes_on_server().await?);
         let sizes = spawn_blocking(move || {
-            let database = folder.database();
-            let journal = fs::metadata(format!("{database}-wal")).map_or(0, |file| file.len());
-            Ok::<_, io::Error>((fs::metadata(database)?.len() + journal, folder.free_bytes()?))
+            let here = || {
+                let database = folder.database();
+                let journal = fs::metadata(format!("{database}-wal")).map_or(0, |file| file.len());
+                Ok::<_, io::Error>(fs::metadata(database)?.len() + journal)
+            };
+            Ok::<_, io::Error>((of_server.map_or_else(here, Ok)?, folder.free_bytes()?))
         });
         let (database_bytes, free_bytes) = sizes.await.map_err(io::Error::other)??;
-        Ok(Figures { scenes, parses, instances, answers, batches: batches.into_iter().collect(), jobs, database_bytes, free_bytes })
+        Ok(Figures {
+            scenes: number(counts.0)?,
+            parses: number(counts.1)?,
+            instances: number(counts.2)?,
+            answers: number(counts.3)?,
+            batches,
+            jobs,
+            database_bytes,
+            free_bytes,
+        })
+    }
+
+    /// Bytes of a database that is not in the data folder.
+    async fn bytes_on_server(&self) -> Result<Option<u64>, StoreError> {
+        let Engine::Postgres = self.engine else { return Ok(None) };
+        let bytes = sqlx::query_scalar("SELECT pg_database_size(current_database())").fetch_one(&self.reader);
+        Ok(Some(number(bytes.await?)?))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::NewJob;
+    use crate::store::{Location, NewJob};
     use camino::Utf8Path;
 
     fn written(kind: &str) -> NewJob<'_> {
@@ -82,7 +112,7 @@ mod tests {
     #[tokio::test]
     async fn jobs_are_counted_by_kind_and_state_with_the_oldest_of_each() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(Utf8Path::from_path(folder.path()).unwrap()).await.unwrap();
+        let store = Store::open(Utf8Path::from_path(folder.path()).unwrap(), &Location::Folder).await.unwrap();
         let empty = store.figures().await.unwrap();
         assert_eq!((empty.scenes, empty.answers, empty.jobs.len()), (0, 0, 0));
         assert!(empty.database_bytes > 4096 && empty.free_bytes > 0);

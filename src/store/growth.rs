@@ -1,5 +1,6 @@
 //! Scenes that grow: another content for the same scene, and what changed in it.
 
+use super::database::number;
 use super::scenes::{add_job, made_by_key};
 use super::writer::Transaction;
 use super::{JobRow, NewJob, SceneRow, Store, StoreError, now};
@@ -54,14 +55,14 @@ impl Store {
             tx.forget().await?;
             return Ok(if before.is_some_and(|before| before == request) { Grew::Before(scene) } else { Grew::KeyReused });
         }
-        sqlx::query("INSERT INTO contents (hash, bytes, created_at, grown_from) VALUES (?, ?, ?, ?) ON CONFLICT DO NOTHING")
+        sqlx::query("INSERT INTO contents (hash, bytes, created_at, grown_from) VALUES ($1, $2, $3, $4) ON CONFLICT DO NOTHING")
             .bind(content_hash)
             .bind(i64::try_from(content_bytes).unwrap_or(i64::MAX))
             .bind(&time)
             .bind(from_content)
             .execute(&mut *tx)
             .await?;
-        let grown = sqlx::query("UPDATE scenes SET content_hash = ?1, updated_at = ?2 WHERE id = ?3 AND content_hash = ?4")
+        let grown = sqlx::query("UPDATE scenes SET content_hash = $1, updated_at = $2 WHERE id = $3 AND content_hash = $4")
             .bind(content_hash)
             .bind(&time)
             .bind(scene_id)
@@ -73,11 +74,11 @@ impl Store {
             return Ok(Grew::Overtaken);
         }
         if let Some((key, request)) = key {
-            let sql = "INSERT INTO idempotency_keys (key, scene_id, created_at, request) VALUES (?, ?, ?, ?)";
+            let sql = "INSERT INTO idempotency_keys (key, scene_id, created_at, request) VALUES ($1, $2, $3, $4)";
             sqlx::query(sql).bind(key).bind(scene_id).bind(&time).bind(request).execute(&mut *tx).await?;
         }
         let job = add_job(&mut tx, scene_id, &self.new_id(), job).await?;
-        let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = ?").bind(scene_id).fetch_one(&mut *tx).await?;
+        let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = $1").bind(scene_id).fetch_one(&mut *tx).await?;
         tx.commit().await?;
         Ok(Grew::Now(scene, Box::new(job)))
     }
@@ -87,9 +88,11 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn scene_changes(&self, scene_id: &str, since: u32) -> Result<Vec<(u32, Changes)>, StoreError> {
-        let sql = "SELECT version, body FROM scene_changes WHERE scene_id = ? AND version > ? ORDER BY version";
-        let rows: Vec<(u32, String)> = sqlx::query_as(sql).bind(scene_id).bind(since).fetch_all(&self.reader).await?;
-        rows.into_iter().map(|(version, body)| Ok((version, serde_json::from_str(&body)?))).collect()
+        let sql = "SELECT version, body FROM scene_changes WHERE scene_id = $1 AND version > $2 ORDER BY version";
+        let rows: Vec<(i64, String)> = sqlx::query_as(sql).bind(scene_id).bind(i64::from(since)).fetch_all(&self.reader).await?;
+        rows.into_iter()
+            .map(|(version, body)| Ok((number(version)?, serde_json::from_str(&body)?)))
+            .collect()
     }
 
     /// Contents that a scene has outgrown: neither a scene nor a parse is of them any more.
@@ -97,8 +100,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn outgrown_contents(&self, limit: u32) -> Result<Vec<String>, StoreError> {
-        let sql = format!("SELECT hash FROM contents WHERE {OUTGROWN} LIMIT ?");
-        Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(limit).fetch_all(&self.reader).await?)
+        let sql = format!("SELECT hash FROM contents WHERE {OUTGROWN} LIMIT $1");
+        Ok(sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(i64::from(limit)).fetch_all(&self.reader).await?)
     }
 
     /// Removes the row of a content if it is outgrown; its folders, for the caller to remove.
@@ -109,11 +112,11 @@ impl Store {
         let mut tx = self.writer.begin().await?;
         // What has grown from it has then grown from what it had grown from.
         let bridge = format!(
-            "UPDATE contents SET grown_from = (SELECT grown_from FROM contents WHERE hash = ?1)
-             WHERE grown_from = ?1 AND EXISTS (SELECT 1 FROM contents WHERE hash = ?1 AND {OUTGROWN})"
+            "UPDATE contents SET grown_from = (SELECT grown_from FROM contents WHERE hash = $1)
+             WHERE grown_from = $1 AND EXISTS (SELECT 1 FROM contents WHERE hash = $1 AND {OUTGROWN})"
         );
         sqlx::query(sqlx::AssertSqlSafe(bridge)).bind(hash).execute(&mut *tx).await?;
-        let sql = format!("DELETE FROM contents WHERE hash = ? AND {OUTGROWN}");
+        let sql = format!("DELETE FROM contents WHERE hash = $1 AND {OUTGROWN}");
         let removed = sqlx::query(sqlx::AssertSqlSafe(sql)).bind(hash).execute(&mut *tx).await?.rows_affected();
         tx.commit().await?;
         Ok(if removed > 0 { vec![self.blobs.content(hash), self.blobs.checkpoints(hash)] } else { Vec::new() })
@@ -125,16 +128,16 @@ impl Store {
         let mut next = Some(content);
         while let Some(hash) = next {
             let sql =
-                "SELECT (SELECT count(*) FROM scenes WHERE content_hash = ?1) + (SELECT count(*) FROM contents WHERE grown_from = ?1)";
+                "SELECT (SELECT count(*) FROM scenes WHERE content_hash = $1) + (SELECT count(*) FROM contents WHERE grown_from = $1)";
             let shared: i64 = sqlx::query_scalar(sql).bind(&hash).fetch_one(&mut **tx).await?;
             if shared > 0 {
                 break;
             }
-            let parses: Vec<String> = sqlx::query_scalar("DELETE FROM parses WHERE content_hash = ? RETURNING id")
+            let parses: Vec<String> = sqlx::query_scalar("DELETE FROM parses WHERE content_hash = $1 RETURNING id")
                 .bind(&hash)
                 .fetch_all(&mut **tx)
                 .await?;
-            let grown_from: Option<Option<String>> = sqlx::query_scalar("DELETE FROM contents WHERE hash = ? RETURNING grown_from")
+            let grown_from: Option<Option<String>> = sqlx::query_scalar("DELETE FROM contents WHERE hash = $1 RETURNING grown_from")
                 .bind(&hash)
                 .fetch_optional(&mut **tx)
                 .await?;
@@ -148,8 +151,8 @@ impl Store {
     /// Notes what a parse takes over.
     pub(super) async fn continue_parse(&self, tx: &mut Transaction, parse_id: &str, continued: &Continued<'_>) -> Result<(), StoreError> {
         let Continued { scene_id, from_parse, changes, corrections } = continued;
-        let sql = "INSERT INTO scene_changes (scene_id, parse_id, from_parse, body, created_at) SELECT ?1, ?2, ?3, ?4, ?5
-                   WHERE EXISTS (SELECT 1 FROM scenes WHERE id = ?1)";
+        let sql = "INSERT INTO scene_changes (scene_id, parse_id, from_parse, body, created_at) SELECT $1, $2, $3, $4, $5
+                   WHERE EXISTS (SELECT 1 FROM scenes WHERE id = $1)";
         sqlx::query(sql)
             .bind(scene_id)
             .bind(parse_id)
@@ -159,22 +162,25 @@ impl Store {
             .execute(&mut **tx)
             .await?;
         for correction in *corrections {
-            sqlx::query("INSERT INTO corrections (id, parse_id, change, made, author, created_at) VALUES (?, ?, ?, ?, ?, ?)")
+            sqlx::query("INSERT INTO corrections (id, parse_id, change, made, author, created_at) VALUES ($1, $2, $3, $4, $5, $6)")
                 .bind(self.new_id())
                 .bind(parse_id)
                 .bind(serde_json::to_string(&correction.change)?)
-                .bind(correction.made.map(|id| id.0))
+                .bind(correction.made.map(|id| i64::from(id.0)))
                 .bind(&correction.author)
                 .bind(&correction.created_at)
                 .execute(&mut **tx)
                 .await?;
         }
         // What a model called things that are still there.
-        let sql = "INSERT OR IGNORE INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
-                   SELECT ?1, model, prompt_version, instance_id, name, created_at FROM instance_names AS known
-                   WHERE parse_id = ?2 AND EXISTS (SELECT 1 FROM instances WHERE parse_id = ?1 AND id = known.instance_id
-                                                   AND json_extract(body, '$.gone') IS NULL)";
-        sqlx::query(sql).bind(parse_id).bind(from_parse).execute(&mut **tx).await?;
+        let gone = self.engine.has_field("body", "gone");
+        let sql = format!(
+            "INSERT INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
+                   SELECT $1, model, prompt_version, instance_id, name, created_at FROM instance_names AS known
+                   WHERE parse_id = $2 AND EXISTS (SELECT 1 FROM instances WHERE parse_id = $1 AND id = known.instance_id
+                                                   AND NOT {gone}) ON CONFLICT DO NOTHING"
+        );
+        sqlx::query(sqlx::AssertSqlSafe(sql)).bind(parse_id).bind(from_parse).execute(&mut **tx).await?;
         Ok(())
     }
 }
@@ -184,8 +190,8 @@ const OUTGROWN: &str = "NOT EXISTS (SELECT 1 FROM scenes WHERE content_hash = co
 
 /// Gives the changes that led to a scene's new version their number, where they began with the parse it had.
 pub(super) async fn number_changes(tx: &mut Transaction, scene_id: &str, parse_id: &str, from_parse: &str) -> Result<(), StoreError> {
-    let sql = "UPDATE scene_changes SET version = (SELECT parse_version FROM scenes WHERE id = ?1)
-               WHERE scene_id = ?1 AND parse_id = ?2 AND from_parse = ?3 AND version IS NULL";
+    let sql = "UPDATE scene_changes SET version = (SELECT parse_version FROM scenes WHERE id = $1)
+               WHERE scene_id = $1 AND parse_id = $2 AND from_parse = $3 AND version IS NULL";
     sqlx::query(sql).bind(scene_id).bind(parse_id).bind(from_parse).execute(&mut **tx).await?;
     Ok(())
 }

@@ -1,9 +1,10 @@
 //! The durable side of the job queue.
 
+use super::database::{Conditions, number, without_nul};
 use super::{Store, StoreError, now};
 use jiff::Timestamp;
-use sqlx::sqlite::{Sqlite, SqliteRow};
-use sqlx::{FromRow, QueryBuilder, Row, SqliteConnection};
+use sqlx::any::AnyRow;
+use sqlx::{AnyConnection, FromRow, Row};
 use std::time::Duration;
 pub use uniground_types::job::JobState;
 
@@ -30,8 +31,8 @@ pub struct JobRow {
     pub finished_at: Option<String>,
 }
 
-impl FromRow<'_, SqliteRow> for JobRow {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+impl FromRow<'_, AnyRow> for JobRow {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
         Ok(Self {
             id: row.try_get("id")?,
             kind: row.try_get("kind")?,
@@ -41,7 +42,7 @@ impl FromRow<'_, SqliteRow> for JobRow {
             stage: row.try_get("stage")?,
             progress: row.try_get("progress")?,
             attempts: row.try_get("attempts")?,
-            failures: row.try_get("failures")?,
+            failures: number(row.try_get("failures")?)?,
             furthest: row.try_get("furthest")?,
             message: row.try_get("message")?,
             error_code: row.try_get("error_code")?,
@@ -77,26 +78,27 @@ pub struct NewJob<'a> {
 }
 
 pub(super) async fn insert(
-    connection: &mut SqliteConnection,
+    connection: &mut AnyConnection,
     id: &str,
     subject: &str,
     NewJob { kind, payload, key_id, done: _ }: &NewJob<'_>,
 ) -> Result<JobRow, StoreError> {
-    let sql = "INSERT INTO jobs (id, kind, subject, payload, state, key_id, created_at) VALUES (?, ?, ?, ?, 'queued', ?, ?) RETURNING *";
+    let sql =
+        "INSERT INTO jobs (id, kind, subject, payload, state, key_id, created_at) VALUES ($1, $2, $3, $4, 'queued', $5, $6) RETURNING *";
     let row = sqlx::query_as(sql).bind(id).bind(kind).bind(subject).bind(payload).bind(key_id).bind(now());
     Ok(row.fetch_one(connection).await?)
 }
 
 /// Records a job whose result was there already.
 pub(super) async fn insert_done(
-    connection: &mut SqliteConnection,
+    connection: &mut AnyConnection,
     id: &str,
     subject: &str,
     NewJob { kind, payload, key_id, done: _ }: &NewJob<'_>,
     message: &str,
 ) -> Result<JobRow, StoreError> {
     let sql = "INSERT INTO jobs (id, kind, subject, payload, state, progress, message, key_id, created_at, started_at, finished_at)
-               VALUES (?1, ?2, ?3, ?4, 'succeeded', 1.0, ?5, ?6, ?7, ?7, ?7) RETURNING *";
+               VALUES ($1, $2, $3, $4, 'succeeded', 1.0, $5, $6, $7, $7, $7) RETURNING *";
     let row = sqlx::query_as(sql)
         .bind(id)
         .bind(kind)
@@ -135,7 +137,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn job(&self, id: &str) -> Result<Option<JobRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM jobs WHERE id = ?").bind(id).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT * FROM jobs WHERE id = $1").bind(id).fetch_optional(&self.reader).await?)
     }
 
     /// Jobs newest first, those before `cursor` (an id) only.
@@ -144,28 +146,19 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn jobs(&self, filter: &JobFilter, limit: u32, cursor: Option<&str>) -> Result<Vec<JobRow>, StoreError> {
         let JobFilter { kind, state, subject } = filter;
-        let mut sql = QueryBuilder::<Sqlite>::new("SELECT * FROM jobs WHERE true");
-        for (condition, value) in [
-            (" AND id < ", cursor),
-            (" AND kind = ", kind.as_deref()),
-            (" AND state = ", state.map(JobState::word)),
-            (" AND subject = ", subject.as_deref()),
-        ] {
-            if let Some(value) = value {
-                sql.push(condition).push_bind(value.to_owned());
-            }
-        }
-        sql.push(" ORDER BY id DESC LIMIT ").push_bind(limit);
-        Ok(sql.build_query_as().fetch_all(&self.reader).await?)
+        let mut which = Conditions::behind("SELECT * FROM jobs WHERE true");
+        which.and("id <", cursor);
+        which.and("kind =", kind.as_ref());
+        which.and("state =", state.map(JobState::word));
+        which.and("subject =", subject.as_ref());
+        which.first("id DESC", limit, &self.reader).await
     }
 
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn queued_jobs(&self, kind: &str) -> Result<u32, StoreError> {
-        Ok(sqlx::query_scalar("SELECT count(*) FROM jobs WHERE kind = ? AND state = 'queued'")
-            .bind(kind)
-            .fetch_one(&self.reader)
-            .await?)
+        let queued = sqlx::query_scalar("SELECT count(*) FROM jobs WHERE kind = $1 AND state = 'queued'").bind(kind);
+        Ok(number(queued.fetch_one(&self.reader).await?)?)
     }
 
     /// Takes a queued job of a kind that is due: of the key whose last turn is longest ago, so that nobody waits behind all jobs of one
@@ -174,21 +167,22 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn claim_job(&self, kind: &str) -> Result<Option<JobRow>, StoreError> {
-        let due = "SELECT id FROM jobs AS due WHERE kind = ?1 AND state = 'queued' AND (not_before IS NULL OR not_before <= ?2 OR not_before > ?3)
-                   ORDER BY (SELECT max(started_at) FROM jobs WHERE kind = ?1 AND key_id IS due.key_id), id LIMIT 1";
+        let due = "SELECT id FROM jobs AS due WHERE kind = $1 AND state = 'queued' AND (not_before IS NULL OR not_before <= $2 OR not_before > $3)
+                   ORDER BY (SELECT max(started_at) FROM jobs WHERE kind = $1 AND (key_id = due.key_id OR (key_id IS NULL AND due.key_id IS NULL)))
+                   NULLS FIRST, id LIMIT 1";
         let (time, too_late) = (now(), after(LONGEST_WAIT));
         // Looked for among the readers first: a queue that is empty writes nothing.
         let id: Option<String> = sqlx::query_scalar(due).bind(kind).bind(&time).bind(too_late).fetch_optional(&self.reader).await?;
         let Some(id) = id else { return Ok(None) };
-        let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = ?1, stage = NULL, progress = 0
-                   WHERE id = ?2 AND state = 'queued' RETURNING *";
+        let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = $1, stage = NULL, progress = 0
+                   WHERE id = $2 AND state = 'queued' RETURNING *";
         Ok(sqlx::query_as(sql).bind(time).bind(id).fetch_optional(self.writer.pool()).await?)
     }
 
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn save_job_progress(&self, id: &str, stage: &str, progress: f32) -> Result<(), StoreError> {
-        let sql = "UPDATE jobs SET stage = ?, progress = ? WHERE id = ? AND state = 'running'";
+        let sql = "UPDATE jobs SET stage = $1, progress = $2 WHERE id = $3 AND state = 'running'";
         sqlx::query(sql).bind(stage).bind(progress).bind(id).execute(self.writer.pool()).await?;
         Ok(())
     }
@@ -204,16 +198,17 @@ impl Store {
         message: Option<&str>,
         error: Option<(&str, &str)>,
     ) -> Result<(), StoreError> {
-        let sql = "UPDATE jobs SET state = ?1, message = ?2, error_code = ?3, error = ?4, finished_at = ?5,
-                   progress = CASE WHEN ?1 = 'succeeded' THEN 1.0 ELSE progress END,
-                   stage = CASE WHEN ?1 = 'succeeded' THEN NULL ELSE stage END
-                   WHERE id = ?6 AND state IN ('queued', 'running')";
+        let sql = "UPDATE jobs SET state = $1, message = $2, error_code = $3, error = $4, finished_at = $5,
+                   progress = CASE WHEN $1 = 'succeeded' THEN 1.0 ELSE progress END,
+                   stage = CASE WHEN $1 = 'succeeded' THEN NULL ELSE stage END
+                   WHERE id = $6 AND state IN ('queued', 'running')";
         let (code, detail) = error.unzip();
+        let (message, detail) = (message.map(without_nul), detail.map(without_nul));
         sqlx::query(sql)
             .bind(state.word())
-            .bind(message)
+            .bind(message.as_deref())
             .bind(code)
-            .bind(detail)
+            .bind(detail.as_deref())
             .bind(now())
             .bind(id)
             .execute(self.writer.pool())
@@ -226,7 +221,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn cancel_queued_job(&self, id: &str) -> Result<bool, StoreError> {
-        let sql = "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE id = ? AND state = 'queued'";
+        let sql = "UPDATE jobs SET state = 'cancelled', finished_at = $1 WHERE id = $2 AND state = 'queued'";
         Ok(sqlx::query(sql).bind(now()).bind(id).execute(self.writer.pool()).await?.rows_affected() > 0)
     }
 
@@ -235,7 +230,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn open_jobs_of(&self, subject: &str) -> Result<Vec<String>, StoreError> {
-        let sql = "SELECT id FROM jobs WHERE subject = ? AND state IN ('queued', 'running')";
+        let sql = "SELECT id FROM jobs WHERE subject = $1 AND state IN ('queued', 'running')";
         Ok(sqlx::query_scalar(sql).bind(subject).fetch_all(&self.reader).await?)
     }
 
@@ -245,7 +240,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn requeue_job(&self, id: &str) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = 'queued', attempts = attempts - 1, started_at = NULL, stage = NULL, progress = 0
-                   WHERE id = ? AND state = 'running'";
+                   WHERE id = $1 AND state = 'running'";
         sqlx::query(sql).bind(id).execute(self.writer.pool()).await?;
         Ok(())
     }
@@ -255,11 +250,11 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn requeue_job_after(&self, id: &str, wait: Duration, failures: u32, progress: f32) -> Result<(), StoreError> {
-        let sql = "UPDATE jobs SET state = 'queued', not_before = ?1, failures = ?2, furthest = max(furthest, ?3),
-                   started_at = NULL, stage = NULL, progress = 0 WHERE id = ?4 AND state = 'running'";
+        let sql = "UPDATE jobs SET state = 'queued', not_before = $1, failures = $2, furthest = CASE WHEN furthest < $3 THEN $3 ELSE furthest END,
+                   started_at = NULL, stage = NULL, progress = 0 WHERE id = $4 AND state = 'running'";
         sqlx::query(sql)
             .bind(after(wait))
-            .bind(failures)
+            .bind(i64::from(failures))
             .bind(progress)
             .bind(id)
             .execute(self.writer.pool())
@@ -272,7 +267,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn request_cancel(&self, id: &str) -> Result<(), StoreError> {
-        let sql = "UPDATE jobs SET cancel_requested = 1 WHERE id = ? AND state = 'running'";
+        let sql = "UPDATE jobs SET cancel_requested = 1 WHERE id = $1 AND state = 'running'";
         sqlx::query(sql).bind(id).execute(self.writer.pool()).await?;
         Ok(())
     }
@@ -282,11 +277,11 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn is_cancel_requested(&self, id: &str) -> Result<bool, StoreError> {
-        let wished: Option<bool> = sqlx::query_scalar("SELECT cancel_requested FROM jobs WHERE id = ?")
+        let wished: Option<i64> = sqlx::query_scalar("SELECT cancel_requested FROM jobs WHERE id = $1")
             .bind(id)
             .fetch_optional(&self.reader)
             .await?;
-        Ok(wished.unwrap_or(false))
+        Ok(wished.is_some_and(|wished| wished != 0))
     }
 
     /// Jobs that are not over: id and kind.
@@ -303,7 +298,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn jobs_without_scene(&self) -> Result<Vec<(String, String)>, StoreError> {
-        let sql = "SELECT id, subject FROM jobs WHERE state IN ('queued', 'running') AND subject NOT IN (SELECT id FROM scenes)";
+        let sql =
+            "SELECT id, subject FROM jobs WHERE state IN ('queued', 'running') AND NOT EXISTS (SELECT 1 FROM scenes WHERE id = subject)";
         Ok(sqlx::query_as(sql).fetch_all(&self.reader).await?)
     }
 
@@ -323,24 +319,26 @@ impl Store {
     pub async fn recover_jobs(&self, kind: &str, recovery: Recovery) -> Result<(), StoreError> {
         let Recovery { give_up_after, at_once, wait } = recovery;
         let mut tx = self.writer.begin().await?;
-        let stop = "UPDATE jobs SET state = 'cancelled', finished_at = ? WHERE kind = ? AND state = 'running' AND cancel_requested";
+        let stop = "UPDATE jobs SET state = 'cancelled', finished_at = $1 WHERE kind = $2 AND state = 'running' AND cancel_requested = 1";
         sqlx::query(stop).bind(now()).bind(kind).execute(&mut *tx).await?;
         let count = "UPDATE jobs SET interruptions = CASE WHEN progress > furthest + 0.001 THEN 1 ELSE interruptions + 1 END,
-                     furthest = max(furthest, progress) WHERE kind = ? AND state = 'running'";
+                     furthest = CASE WHEN furthest < progress THEN progress ELSE furthest END WHERE kind = $1 AND state = 'running'";
         sqlx::query(count).bind(kind).execute(&mut *tx).await?;
-        let give_up = "UPDATE jobs SET state = 'failed', error_code = 'interrupted', finished_at = ?,
+        let give_up = "UPDATE jobs SET state = 'failed', error_code = 'interrupted', finished_at = $1,
                        error = 'the server stopped ' || interruptions || ' times while this job ran, and it got no further'
-                       WHERE kind = ? AND state = 'running' AND interruptions >= ?";
-        sqlx::query(give_up).bind(now()).bind(kind).bind(give_up_after).execute(&mut *tx).await?;
+                       WHERE kind = $2 AND state = 'running' AND interruptions >= $3";
+        sqlx::query(give_up).bind(now()).bind(kind).bind(i64::from(give_up_after)).execute(&mut *tx).await?;
         for interruptions in at_once..give_up_after {
             let due = after(wait.saturating_mul(1 << (interruptions - at_once).min(16)).min(LONGEST_WAIT / 2));
-            let sql = "UPDATE jobs SET not_before = ? WHERE kind = ? AND state = 'running' AND interruptions = ?";
-            sqlx::query(sql).bind(due).bind(kind).bind(interruptions).execute(&mut *tx).await?;
+            let sql = "UPDATE jobs SET not_before = $1 WHERE kind = $2 AND state = 'running' AND interruptions = $3";
+            sqlx::query(sql).bind(due).bind(kind).bind(i64::from(interruptions)).execute(&mut *tx).await?;
         }
-        sqlx::query("UPDATE jobs SET state = 'queued', started_at = NULL, stage = NULL, progress = 0 WHERE kind = ? AND state = 'running'")
-            .bind(kind)
-            .execute(&mut *tx)
-            .await?;
+        sqlx::query(
+            "UPDATE jobs SET state = 'queued', started_at = NULL, stage = NULL, progress = 0 WHERE kind = $1 AND state = 'running'",
+        )
+        .bind(kind)
+        .execute(&mut *tx)
+        .await?;
         tx.commit().await
     }
 }

@@ -1,7 +1,8 @@
 //! Keys of callers, what they may spend, and what was done with them.
 
+use super::database::number;
 use super::{Store, StoreError, now};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
 use uniground_types::keys::{AuditEntry, Scope};
 
@@ -24,8 +25,8 @@ pub struct KeyRow {
     pub revoked_at: Option<String>,
 }
 
-impl FromRow<'_, SqliteRow> for KeyRow {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+impl FromRow<'_, AnyRow> for KeyRow {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
         let scope: String = row.try_get("scope")?;
         Ok(Self {
             id: row.try_get("id")?,
@@ -34,8 +35,8 @@ impl FromRow<'_, SqliteRow> for KeyRow {
             hash: row.try_get("hash")?,
             scope: Scope::try_from(scope).map_err(|error| sqlx::Error::Decode(error.into()))?,
             expires_at: row.try_get("expires_at")?,
-            requests_per_minute: row.try_get("requests_per_minute")?,
-            max_scenes: row.try_get("max_scenes")?,
+            requests_per_minute: row.try_get::<Option<i64>, _>("requests_per_minute")?.map(number).transpose()?,
+            max_scenes: row.try_get::<Option<i64>, _>("max_scenes")?.map(number).transpose()?,
             daily_usd: row.try_get("daily_usd")?,
             created_at: row.try_get("created_at")?,
             last_used_at: row.try_get("last_used_at")?,
@@ -49,16 +50,18 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn insert_key(&self, key: &KeyRow) -> Result<(), StoreError> {
         let sql = "INSERT INTO keys (id, name, prefix, hash, scope, expires_at, requests_per_minute, max_scenes, daily_usd, created_at)
-                   VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)";
+                   VALUES ($1, $2, $3, $4, $5, $6, $7, $8, $9, $10)";
+        // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that is.
         sqlx::query(sql)
+            .persistent(false)
             .bind(&key.id)
             .bind(&key.name)
             .bind(&key.prefix)
             .bind(&key.hash)
             .bind(key.scope.word())
             .bind(&key.expires_at)
-            .bind(key.requests_per_minute)
-            .bind(key.max_scenes)
+            .bind(key.requests_per_minute.map(i64::from))
+            .bind(key.max_scenes.map(i64::from))
             .bind(key.daily_usd)
             .bind(&key.created_at)
             .execute(self.writer.pool())
@@ -79,8 +82,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn keys(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<KeyRow>, StoreError> {
-        let sql = "SELECT * FROM keys WHERE ?1 IS NULL OR id < ?1 ORDER BY id DESC LIMIT ?2";
-        Ok(sqlx::query_as(sql).bind(cursor).bind(limit).fetch_all(&self.reader).await?)
+        let sql = "SELECT * FROM keys WHERE $1 IS NULL OR id < $1 ORDER BY id DESC LIMIT $2";
+        Ok(sqlx::query_as(sql).bind(cursor).bind(i64::from(limit)).fetch_all(&self.reader).await?)
     }
 
     /// Has a key refused from now on; as it is then, or `None` where there is none. Who was first stays.
@@ -88,7 +91,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn revoke_key(&self, id: &str) -> Result<Option<KeyRow>, StoreError> {
-        let sql = "UPDATE keys SET revoked_at = coalesce(revoked_at, ?) WHERE id = ? RETURNING *";
+        let sql = "UPDATE keys SET revoked_at = coalesce(revoked_at, $1) WHERE id = $2 RETURNING *";
         Ok(sqlx::query_as(sql).bind(now()).bind(id).fetch_optional(self.writer.pool()).await?)
     }
 
@@ -97,7 +100,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn note_key_use(&self, id: &str, at: &str) -> Result<(), StoreError> {
-        sqlx::query("UPDATE keys SET last_used_at = ? WHERE id = ?")
+        sqlx::query("UPDATE keys SET last_used_at = $1 WHERE id = $2")
             .bind(at)
             .bind(id)
             .execute(self.writer.pool())
@@ -110,7 +113,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn spent_by_key(&self, key_id: &str, day: &str) -> Result<f64, StoreError> {
-        let usd: Option<f64> = sqlx::query_scalar("SELECT usd FROM key_spending WHERE key_id = ? AND day = ?")
+        let usd: Option<f64> = sqlx::query_scalar("SELECT usd FROM key_spending WHERE key_id = $1 AND day = $2")
             .bind(key_id)
             .bind(day)
             .fetch_optional(&self.reader)
@@ -123,10 +126,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn scenes_of_key(&self, key_id: &str) -> Result<u32, StoreError> {
-        Ok(sqlx::query_scalar("SELECT count(*) FROM scenes WHERE key_id = ?")
-            .bind(key_id)
-            .fetch_one(&self.reader)
-            .await?)
+        let scenes = sqlx::query_scalar("SELECT count(*) FROM scenes WHERE key_id = $1").bind(key_id);
+        Ok(number(scenes.fetch_one(&self.reader).await?)?)
     }
 
     /// Writes down what was done.
@@ -135,14 +136,14 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn insert_audit_entry(&self, entry: &AuditEntry) -> Result<(), StoreError> {
         let AuditEntry { id, at, key_id, method, path, status, request_id } = entry;
-        let sql = "INSERT INTO audit (id, at, key_id, method, path, status, request_id) VALUES (?, ?, ?, ?, ?, ?, ?)";
+        let sql = "INSERT INTO audit (id, at, key_id, method, path, status, request_id) VALUES ($1, $2, $3, $4, $5, $6, $7)";
         sqlx::query(sql)
             .bind(id)
             .bind(at)
             .bind(key_id)
             .bind(method)
             .bind(path)
-            .bind(status)
+            .bind(i64::from(*status))
             .bind(request_id)
             .execute(self.writer.pool())
             .await?;
@@ -154,16 +155,16 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn audit(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<AuditEntry>, StoreError> {
-        let sql = "SELECT * FROM audit WHERE ?1 IS NULL OR id < ?1 ORDER BY id DESC LIMIT ?2";
-        let rows = sqlx::query(sql).bind(cursor).bind(limit).fetch_all(&self.reader).await?;
-        let entry = |row: &SqliteRow| {
+        let sql = "SELECT * FROM audit WHERE $1 IS NULL OR id < $1 ORDER BY id DESC LIMIT $2";
+        let rows = sqlx::query(sql).bind(cursor).bind(i64::from(limit)).fetch_all(&self.reader).await?;
+        let entry = |row: &AnyRow| {
             Ok(AuditEntry {
                 id: row.try_get("id")?,
                 at: row.try_get("at")?,
                 key_id: row.try_get("key_id")?,
                 method: row.try_get("method")?,
                 path: row.try_get("path")?,
-                status: row.try_get("status")?,
+                status: number(row.try_get("status")?)?,
                 request_id: row.try_get("request_id")?,
             })
         };

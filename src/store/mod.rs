@@ -1,6 +1,6 @@
-//! SQLite and the blob folder. Typed functions; no SQL elsewhere.
+//! The database and the blob folder. Typed functions; no SQL elsewhere.
 //!
-//! One writing connection and a pool of readers over the same file (WAL). A scene points at the bytes it was uploaded as
+//! One transaction writes at a time; readers wait for nobody. A scene points at the bytes it was uploaded as
 //! (`contents`) and at a finished parse of them (`parses`); both are shared by scenes with the same content and settings.
 
 mod announcements;
@@ -8,10 +8,12 @@ mod answers;
 mod backup;
 mod batches;
 mod blobs;
+mod claim;
 mod contents;
 mod copy;
 mod corrections;
 mod data_folder;
+mod database;
 mod figures;
 mod growth;
 mod health;
@@ -32,6 +34,7 @@ pub use backup::{BackedUp, BackupError, Restored, Source, Target, back_up, check
 pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, Resumed, Submitted};
 pub use blobs::{Blobs, Damage, GrowingFile, KeptCheckpoints, Look, Measured, Scratch, size_of};
 pub use corrections::NewCorrection;
+pub use database::{Location, PostgresUrl};
 pub use figures::{Figures, JobFigures};
 pub use growth::{Continued, Grew, Growth};
 pub use health::StoreHealth;
@@ -46,12 +49,13 @@ pub use uploads::{CameOf, Unfinished, UploadRow, WantedScene};
 
 use answers::AnswerQueue;
 use camino::{Utf8Path, Utf8PathBuf};
+use claim::Claim;
 use data_folder::DataFolder;
+use database::{Connections, Engine};
 use ids::Ids;
 use jiff::Timestamp;
-use sqlx::SqlSafeStr;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
-use sqlx::sqlite::{SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous};
+use sqlx::{AnyPool, SqlSafeStr};
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
@@ -67,6 +71,18 @@ pub enum StoreError {
     Migration(#[from] sqlx::migrate::MigrateError),
     #[error("the blob folder failed")]
     Blobs(#[from] io::Error),
+    #[error("{scheme}:// is no database for this: \"sqlite\", the file in the data folder, or postgres://USER@HOST/DATABASE")]
+    UnknownDatabase { scheme: String },
+    #[error("its rows are kept in {kept_in}: say so with --database (or UNIGROUND_DATABASE)")]
+    OtherDatabase { kept_in: &'static str },
+    #[error(
+        "its rows are kept in {kept_in}, and this is for SQLite's file only: use {kept_in}'s own tools (a copy of the rows first, then of blobs/)"
+    )]
+    OnlyOfSqlite { kept_in: &'static str },
+    #[error("this data folder and this database do not belong together: one of the two is another server's (--data-dir, --database)")]
+    NotTogether,
+    #[error("another server uses this database")]
+    DatabaseInUse,
     #[error("another server uses this data folder")]
     InUse,
     #[error("it holds other things ({found}) and is no data folder of uniground's: choose an empty one")]
@@ -85,29 +101,34 @@ impl StoreError {
     #[must_use]
     pub fn is_full(&self) -> bool {
         match self {
-            // SQLITE_FULL, and no room for the file readers share.
-            Self::Database(error) => matches!(sqlite_code(error), Some(13 | 4874)),
+            // SQLITE_FULL, no room for the file readers share; disk_full.
+            Self::Database(error) => matches!(code(error).as_deref(), Some("13" | "4874" | "53100")),
             Self::Blobs(error) => is_disk_full(error),
             Self::Together(error) => error.is_full(),
             _ => false,
         }
     }
 
-    /// Whether somebody else holds the database: it may be free again in a moment.
+    /// Whether the database can not be had now, because somebody else holds it or its server is away: that may pass.
     #[must_use]
     pub fn is_busy(&self) -> bool {
         match self {
-            Self::Database(sqlx::Error::PoolTimedOut) => true,
-            // SQLITE_BUSY and SQLITE_LOCKED, whatever their extended code.
-            Self::Database(error) => sqlite_code(error).is_some_and(|code| matches!(code & 0xff, 5 | 6)),
+            Self::Database(sqlx::Error::PoolTimedOut | sqlx::Error::PoolClosed | sqlx::Error::Io(_) | sqlx::Error::WorkerCrashed) => true,
+            Self::Database(error) => code(error).is_some_and(|code| match code.parse::<i32>() {
+                // SQLITE_BUSY and SQLITE_LOCKED, whatever their extended code.
+                Ok(number) if code.len() < 5 => matches!(number & 0xff, 5 | 6),
+                // Connection exceptions, transactions undone, resources, operators at work.
+                _ => ["08", "40", "53", "57"].contains(&&code[..2.min(code.len())]),
+            }),
             Self::Together(error) => error.is_busy(),
             _ => false,
         }
     }
 }
 
-fn sqlite_code(error: &sqlx::Error) -> Option<i32> {
-    error.as_database_error()?.code()?.parse().ok()
+/// What SQLite or PostgreSQL call an error.
+fn code(error: &sqlx::Error) -> Option<String> {
+    Some(error.as_database_error()?.code()?.into_owned())
 }
 
 /// Whether a file could not be written for want of room.
@@ -119,27 +140,26 @@ pub fn is_disk_full(error: &io::Error) -> bool {
 /// Handle to everything stored. Cheap to clone.
 #[derive(Clone)]
 pub struct Store {
-    reader: SqlitePool,
+    reader: AnyPool,
     writer: Writer,
+    engine: Engine,
     answers: AnswerQueue,
     ids: Ids,
     pub blobs: Blobs,
     folder: DataFolder,
+    /// Keeps others out of a database that is not in the folder.
+    claim: Option<Claim>,
     /// Where the database is, if this is [a copy](Self::open_copy); it goes with the last handle.
     _copy: Option<Arc<TempDir>>,
 }
-
-/// How long SQLite waits for a lock that somebody else holds.
-const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
-const READERS: u32 = 4;
 
 impl Store {
     /// Opens or creates the store below `data_dir`, brings the schema up to date and clears what an interrupted run left.
     ///
     /// # Errors
     /// [`StoreError`] when the folder or the database can not be used.
-    pub async fn open(data_dir: &Utf8Path) -> Result<Self, StoreError> {
-        let store = Self::open_as_it_is(data_dir).await?;
+    pub async fn open(data_dir: &Utf8Path, location: &Location) -> Result<Self, StoreError> {
+        let store = Self::open_as_it_is(data_dir, location).await?;
         store.forget_unused_rows().await?;
         store.forget_half_received_batches().await?;
         store.settle_what_was_left().await?;
@@ -157,64 +177,75 @@ impl Store {
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub async fn open_as_it_is(data_dir: &Utf8Path) -> Result<Self, StoreError> {
+    pub async fn open_as_it_is(data_dir: &Utf8Path, location: &Location) -> Result<Self, StoreError> {
+        let engine = location.engine()?;
+        DataFolder::goes_with(data_dir, engine)?;
+        // A folder is marked as one of a server's database once that has been reached.
+        let claim = Claim::take(location).await?;
+        let server = match location {
+            Location::Postgres(url) => Some(Connections::to_server(url).await?),
+            _ => None,
+        };
         let path = data_dir.to_owned();
         let opened = spawn_blocking(move || {
-            let folder = DataFolder::open(&path)?;
+            let folder = DataFolder::open(&path, engine)?;
             let blobs = Blobs::open(&path)?;
             Ok::<_, StoreError>((folder, blobs))
         });
         let (folder, blobs) = opened.await.map_err(io::Error::other)??;
-        let database = folder.database();
-        Self::connect(&database, folder, blobs).await
+        let connections = match server {
+            Some(server) => server,
+            None => Connections::to_file(&folder.database()).await?,
+        };
+        let store = Self::connect(connections, folder, blobs).await?;
+        if let Some(claim) = &claim {
+            claim.keep([store.reader.clone(), store.writer.pool().clone()]);
+        }
+        Ok(Self { claim, ..store })
     }
 
     /// As [`open_as_it_is`](Self::open_as_it_is), where there is a store already.
     ///
     /// # Errors
     /// As [`open`](Self::open); [`StoreError::NoDataFolder`].
-    pub async fn open_known(data_dir: &Utf8Path) -> Result<Self, StoreError> {
+    pub async fn open_known(data_dir: &Utf8Path, location: &Location) -> Result<Self, StoreError> {
         DataFolder::identity(data_dir)?;
-        Self::open_as_it_is(data_dir).await
+        Self::open_as_it_is(data_dir, location).await
     }
 
     /// A store over a database, which is brought up to date.
-    async fn connect(database: &Utf8Path, folder: DataFolder, blobs: Blobs) -> Result<Self, StoreError> {
-        let options = SqliteConnectOptions::new()
-            .filename(database)
-            .create_if_missing(true)
-            .journal_mode(SqliteJournalMode::Wal)
-            // What a caller was told is stored is on the disk.
-            .synchronous(SqliteSynchronous::Full)
-            .foreign_keys(true)
-            .busy_timeout(BUSY_TIMEOUT);
-        let writer = Writer::open(options.clone()).await?;
-        migrations().run(writer.pool()).await?;
-        let reader = SqlitePoolOptions::new().max_connections(READERS).connect_with(options.read_only(true)).await?;
+    async fn connect(connections: Connections, folder: DataFolder, blobs: Blobs) -> Result<Self, StoreError> {
+        let Connections { engine, reader, writer } = connections;
+        migrations(engine).run(&writer).await?;
+        let writer = Writer::new(writer, engine);
         let newest = "SELECT max(id) FROM (SELECT max(id) AS id FROM scenes UNION ALL SELECT max(id) FROM jobs
                       UNION ALL SELECT max(id) FROM answers UNION ALL SELECT max(id) FROM parses
                       UNION ALL SELECT max(id) FROM batches
                       UNION ALL SELECT max(id) FROM corrections UNION ALL SELECT max(id) FROM uploads
-                      UNION ALL SELECT max(id) FROM keys UNION ALL SELECT max(id) FROM audit)";
+                      UNION ALL SELECT max(id) FROM keys UNION ALL SELECT max(id) FROM audit) AS newest";
         let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
         let answers = AnswerQueue::start(writer.clone());
-        let store = Self { reader, writer, answers, ids: Ids::after(newest.as_deref()), blobs, folder, _copy: None };
+        let store = Self { reader, writer, engine, answers, ids: Ids::after(newest.as_deref()), blobs, folder, claim: None, _copy: None };
         store.introduce().await?;
         Ok(store)
     }
 
-    /// Lets database and data folder know each other. A database that is new here, or comes from another folder, has no say over files that
+    /// Lets database and data folder know each other. A file that is new here, or comes from another folder, has no say over files that
     /// are older than that.
     async fn introduce(&self) -> Result<(), StoreError> {
         let known: Option<String> = sqlx::query_scalar("SELECT id FROM data_folder").fetch_optional(&self.reader).await?;
         if known.as_ref() == Some(&self.folder.id) {
             return Ok(());
         }
+        // A file lies in its folder. A server's database may be named with any folder: of two that do not know each other, one is wrong.
+        if self.engine == Engine::Postgres && (known.is_some() || !self.blobs.names("contents")?.is_empty()) {
+            return Err(StoreError::NotTogether);
+        }
         let mut tx = self.writer.begin().await?;
         sqlx::query("DELETE FROM data_folder").execute(&mut *tx).await?;
         // A database of before folders had ids has known its own since its first scan.
-        let since = if known.is_none() { "coalesce((SELECT min(created_at) FROM contents), ?2)" } else { "?2" };
-        let sql = format!("INSERT INTO data_folder (id, since) VALUES (?1, {since})");
+        let since = if known.is_none() { "coalesce((SELECT min(created_at) FROM contents), $2)" } else { "$2" };
+        let sql = format!("INSERT INTO data_folder (id, since) VALUES ($1, {since})");
         sqlx::query(sqlx::AssertSqlSafe(sql)).bind(&self.folder.id).bind(now()).execute(&mut *tx).await?;
         tx.commit().await
     }
@@ -236,13 +267,18 @@ impl Store {
     pub async fn close(&self) {
         self.reader.close().await;
         self.writer.close().await;
+        if let Some(claim) = &self.claim {
+            claim.let_go().await;
+        }
     }
 
     /// Forgets content no scene refers to: the loser of two uploads under one key.
     async fn forget_unused_rows(&self) -> Result<(), StoreError> {
         for unused in [
-            "DELETE FROM parses WHERE content_hash NOT IN (SELECT content_hash FROM scenes) AND id NOT IN (SELECT parse_id FROM answers)",
-            "DELETE FROM contents WHERE hash NOT IN (SELECT content_hash FROM scenes) AND hash NOT IN (SELECT content_hash FROM parses)",
+            "DELETE FROM parses WHERE NOT EXISTS (SELECT 1 FROM scenes WHERE scenes.content_hash = parses.content_hash)
+             AND NOT EXISTS (SELECT 1 FROM answers WHERE parse_id = parses.id)",
+            "DELETE FROM contents WHERE NOT EXISTS (SELECT 1 FROM scenes WHERE content_hash = hash)
+             AND NOT EXISTS (SELECT 1 FROM parses WHERE content_hash = hash)",
         ] {
             sqlx::query(unused).execute(self.writer.pool()).await?;
         }
@@ -250,29 +286,37 @@ impl Store {
     }
 }
 
-/// What brings a database of any version up to date, in order. A file that has been released is never changed.
+/// What brings a database of SQLite's of any version up to date, in order. A file that has been released is never changed.
 const MIGRATIONS: [(i64, &str, &str); 14] = [
-    (1, "scenes parses jobs answers", include_str!("../../migrations/0001_scenes_parses_jobs_answers.sql")),
-    (2, "instance names spending", include_str!("../../migrations/0002_instance_names_spending.sql")),
-    (3, "lanes records", include_str!("../../migrations/0003_lanes_records.sql")),
-    (4, "nothing lost", include_str!("../../migrations/0004_nothing_lost.sql")),
-    (5, "batches", include_str!("../../migrations/0005_batches.sql")),
-    (6, "keys audit lists webhooks", include_str!("../../migrations/0006_keys_audit_lists_webhooks.sql")),
-    (7, "superseded parses", include_str!("../../migrations/0007_superseded_parses.sql")),
-    (8, "name indexes", include_str!("../../migrations/0008_name_indexes.sql")),
-    (9, "corrections", include_str!("../../migrations/0009_corrections.sql")),
-    (10, "scene to map", include_str!("../../migrations/0010_scene_to_map.sql")),
-    (11, "question keys", include_str!("../../migrations/0011_question_keys.sql")),
-    (12, "uploads", include_str!("../../migrations/0012_uploads.sql")),
-    (13, "scene changes", include_str!("../../migrations/0013_scene_changes.sql")),
-    (14, "labels", include_str!("../../migrations/0014_labels.sql")),
+    (1, "scenes parses jobs answers", include_str!("../../migrations/sqlite/0001_scenes_parses_jobs_answers.sql")),
+    (2, "instance names spending", include_str!("../../migrations/sqlite/0002_instance_names_spending.sql")),
+    (3, "lanes records", include_str!("../../migrations/sqlite/0003_lanes_records.sql")),
+    (4, "nothing lost", include_str!("../../migrations/sqlite/0004_nothing_lost.sql")),
+    (5, "batches", include_str!("../../migrations/sqlite/0005_batches.sql")),
+    (6, "keys audit lists webhooks", include_str!("../../migrations/sqlite/0006_keys_audit_lists_webhooks.sql")),
+    (7, "superseded parses", include_str!("../../migrations/sqlite/0007_superseded_parses.sql")),
+    (8, "name indexes", include_str!("../../migrations/sqlite/0008_name_indexes.sql")),
+    (9, "corrections", include_str!("../../migrations/sqlite/0009_corrections.sql")),
+    (10, "scene to map", include_str!("../../migrations/sqlite/0010_scene_to_map.sql")),
+    (11, "question keys", include_str!("../../migrations/sqlite/0011_question_keys.sql")),
+    (12, "uploads", include_str!("../../migrations/sqlite/0012_uploads.sql")),
+    (13, "scene changes", include_str!("../../migrations/sqlite/0013_scene_changes.sql")),
+    (14, "labels", include_str!("../../migrations/sqlite/0014_labels.sql")),
 ];
 
-fn migrations() -> Migrator {
+/// The same for PostgreSQL, whose first is what fourteen of SQLite's led to.
+const MIGRATIONS_OF_POSTGRES: [(i64, &str, &str); 1] =
+    [(14, "everything so far", include_str!("../../migrations/postgres/0014_everything_so_far.sql"))];
+
+fn migrations(engine: Engine) -> Migrator {
     let migration = |&(version, name, sql): &(i64, &'static str, &'static str)| {
         Migration::new(version, name.into(), MigrationType::Simple, sql.into_sql_str(), false)
     };
-    Migrator::with_migrations(MIGRATIONS.iter().map(migration).collect())
+    let all: &[_] = match engine {
+        Engine::Sqlite => &MIGRATIONS,
+        Engine::Postgres => &MIGRATIONS_OF_POSTGRES,
+    };
+    Migrator::with_migrations(all.iter().map(migration).collect())
 }
 
 /// Rows of a page of which one more was asked for than it has, and the id to go on after, where there is more.

@@ -1,10 +1,11 @@
 //! Finished parses and their instances.
 
+use super::database::number;
 use super::growth::Continued;
 use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
 use super::{SceneRow, Store, StoreError, now};
-use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row, SqliteConnection};
+use sqlx::any::AnyRow;
+use sqlx::{AnyConnection, FromRow, Row};
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::scene::{ImportReport, Instance, InstanceId, ParseReport};
 use uniground_core::scene_parsing::pointed::known_as;
@@ -24,8 +25,8 @@ pub struct ParseRow {
     pub created_at: String,
 }
 
-impl FromRow<'_, SqliteRow> for ParseRow {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+impl FromRow<'_, AnyRow> for ParseRow {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
         Ok(Self {
             id: row.try_get("id")?,
             content_hash: row.try_get("content_hash")?,
@@ -81,7 +82,7 @@ impl Store {
         let inserted = sqlx::query(
             "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at,
                                  record_version)
-             SELECT ?1, ?2, ?3, ?4, ?5, ?6, ?7, ?8, ?9, ?10 WHERE EXISTS (SELECT 1 FROM contents WHERE hash = ?2) ON CONFLICT DO NOTHING",
+             SELECT $1, $2, $3, $4, $5, $6, $7, $8, $9, $10 WHERE EXISTS (SELECT 1 FROM contents WHERE hash = $2) ON CONFLICT DO NOTHING",
         )
         .bind(id)
         .bind(content_hash)
@@ -92,7 +93,7 @@ impl Store {
         .bind(serde_json::to_string(report)?)
         .bind(serde_json::to_string(extent)?)
         .bind(now())
-        .bind(RECORD_VERSION)
+        .bind(i64::from(RECORD_VERSION))
         .execute(&mut *tx)
         .await?;
         if inserted.rows_affected() == 0 {
@@ -113,7 +114,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn parse(&self, id: &str) -> Result<Option<ParseRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM parses WHERE id = ?").bind(id).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT * FROM parses WHERE id = $1").bind(id).fetch_optional(&self.reader).await?)
     }
 
     /// The parse of this content under these settings, when there is one.
@@ -121,7 +122,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn parse_of(&self, content_hash: &str, settings_hash: &str) -> Result<Option<ParseRow>, StoreError> {
-        let sql = "SELECT * FROM parses WHERE content_hash = ? AND settings_hash = ?";
+        let sql = "SELECT * FROM parses WHERE content_hash = $1 AND settings_hash = $2";
         Ok(sqlx::query_as(sql).bind(content_hash).bind(settings_hash).fetch_optional(&self.reader).await?)
     }
 
@@ -141,9 +142,9 @@ impl Store {
     pub async fn retire_parse(&self, id: &str) -> Result<Vec<SceneRow>, StoreError> {
         let mut tx = self.writer.begin().await?;
         let sql =
-            "UPDATE parses SET settings_hash = settings_hash || ':retired:' || id WHERE id = ? AND settings_hash NOT LIKE '%:retired:%'";
+            "UPDATE parses SET settings_hash = settings_hash || ':retired:' || id WHERE id = $1 AND settings_hash NOT LIKE '%:retired:%'";
         let retired = sqlx::query(sql).bind(id).execute(&mut *tx).await?.rows_affected() > 0;
-        let scenes = sqlx::query_as("SELECT * FROM scenes WHERE parse_id = ? ORDER BY id")
+        let scenes = sqlx::query_as("SELECT * FROM scenes WHERE parse_id = $1 ORDER BY id")
             .bind(id)
             .fetch_all(&mut *tx)
             .await?;
@@ -157,7 +158,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn instances(&self, parse_id: &str) -> Result<Vec<Instance>, StoreError> {
-        let bodies: Vec<String> = sqlx::query_scalar("SELECT body FROM instances WHERE parse_id = ? ORDER BY id")
+        let bodies: Vec<String> = sqlx::query_scalar("SELECT body FROM instances WHERE parse_id = $1 ORDER BY id")
             .bind(parse_id)
             .fetch_all(&self.reader)
             .await?;
@@ -171,14 +172,16 @@ impl Store {
     /// [`StoreError`].
     pub async fn insert_found(&self, parse_id: &str, found: &Instance, most: usize) -> Result<Option<InstanceId>, StoreError> {
         let mut tx = self.writer.begin().await?;
-        let before = "SELECT body FROM instances WHERE parse_id = ? AND json_extract(body, '$.found_for') IS NOT NULL ORDER BY id";
-        let before: Vec<String> = sqlx::query_scalar(before).bind(parse_id).fetch_all(&mut *tx).await?;
+        let is_found = self.engine.has_field("body", "found_for");
+        let before = format!("SELECT body FROM instances WHERE parse_id = $1 AND {is_found} ORDER BY id");
+        let before: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(before)).bind(parse_id).fetch_all(&mut *tx).await?;
         let before: Vec<Instance> = before
             .iter()
             .map(|body| Ok(serde_json::from_str::<InstanceRecord>(body)?.into()))
             .collect::<Result<_, StoreError>>()?;
-        let last = "SELECT max(id) FROM instances WHERE parse_id = ?1 AND EXISTS (SELECT 1 FROM scenes WHERE parse_id = ?1)";
-        let last: Option<u32> = sqlx::query_scalar(last).bind(parse_id).fetch_one(&mut *tx).await?;
+        let last = "SELECT max(id) FROM instances WHERE parse_id = $1 AND EXISTS (SELECT 1 FROM scenes WHERE parse_id = $1)";
+        let last: Option<i64> = sqlx::query_scalar(last).bind(parse_id).fetch_one(&mut *tx).await?;
+        let last: Option<u32> = last.map(number).transpose()?;
         let (known, full) = (known_as(&before, found).map(|known| known.id), before.len() >= most);
         let Some(id) = last.map(|last| InstanceId(last + 1)).filter(|_| known.is_none() && !full) else {
             tx.forget().await?;
@@ -192,26 +195,28 @@ impl Store {
 
 /// A parse that is made anew because files of the one before were damaged takes over what people and models have said of that one, and what was
 /// found since: the same scan under the same settings has the same instances.
-async fn inherit(tx: &mut SqliteConnection, new: &NewParse<'_>, instances: usize) -> Result<(), StoreError> {
-    let retired = "SELECT id FROM parses WHERE content_hash = ? AND settings_hash LIKE ? || ':retired:%' ORDER BY id DESC LIMIT 1";
+async fn inherit(tx: &mut AnyConnection, new: &NewParse<'_>, instances: usize) -> Result<(), StoreError> {
+    let retired = "SELECT id FROM parses WHERE content_hash = $1 AND settings_hash LIKE $2 || ':retired:%' ORDER BY id DESC LIMIT 1";
     let retired: Option<String> = sqlx::query_scalar(retired)
         .bind(new.content_hash)
         .bind(new.settings_hash)
         .fetch_optional(&mut *tx)
         .await?;
     let Some(retired) = retired else { return Ok(()) };
-    let same = "SELECT count(*) FROM instances AS old JOIN instances AS new USING (id, body) WHERE old.parse_id = ? AND new.parse_id = ?";
+    let same = "SELECT count(*) FROM instances AS old JOIN instances AS new USING (id, body) WHERE old.parse_id = $1 AND new.parse_id = $2";
     let same: i64 = sqlx::query_scalar(same).bind(&retired).bind(new.id).fetch_one(&mut *tx).await?;
     if same != instances as i64 {
         tracing::warn!(parse_id = new.id, retired, "a parse made anew has other instances: corrections and names stay behind");
         return Ok(());
     }
     for sql in [
-        "INSERT INTO instances (parse_id, id, body, record_version) SELECT ?2, id, body, record_version FROM instances
-         WHERE parse_id = ?1 AND id > (SELECT max(id) FROM instances WHERE parse_id = ?2)",
-        "UPDATE corrections SET parse_id = ?2 WHERE parse_id = ?1",
-        "UPDATE OR IGNORE instance_names SET parse_id = ?2 WHERE parse_id = ?1",
-        "UPDATE OR IGNORE name_indexes SET parse_id = ?2 WHERE parse_id = ?1",
+        "INSERT INTO instances (parse_id, id, body, record_version) SELECT $2, id, body, record_version FROM instances
+         WHERE parse_id = $1 AND id > (SELECT max(id) FROM instances WHERE parse_id = $2)",
+        "UPDATE corrections SET parse_id = $2 WHERE parse_id = $1",
+        "INSERT INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
+         SELECT $2, model, prompt_version, instance_id, name, created_at FROM instance_names WHERE parse_id = $1 ON CONFLICT DO NOTHING",
+        "INSERT INTO name_indexes (parse_id, model, prompt_version, created_at)
+         SELECT $2, model, prompt_version, created_at FROM name_indexes WHERE parse_id = $1 ON CONFLICT DO NOTHING",
     ] {
         sqlx::query(sql).bind(&retired).bind(new.id).execute(&mut *tx).await?;
     }
@@ -219,12 +224,12 @@ async fn inherit(tx: &mut SqliteConnection, new: &NewParse<'_>, instances: usize
 }
 
 /// Writes one instance of a parse.
-pub(super) async fn insert_instance(tx: &mut SqliteConnection, parse_id: &str, instance: &Instance) -> Result<(), StoreError> {
-    sqlx::query("INSERT INTO instances (parse_id, id, body, record_version) VALUES (?, ?, ?, ?)")
+pub(super) async fn insert_instance(tx: &mut AnyConnection, parse_id: &str, instance: &Instance) -> Result<(), StoreError> {
+    sqlx::query("INSERT INTO instances (parse_id, id, body, record_version) VALUES ($1, $2, $3, $4)")
         .bind(parse_id)
-        .bind(instance.id.0)
+        .bind(i64::from(instance.id.0))
         .bind(serde_json::to_string(&InstanceRecord::from(instance))?)
-        .bind(RECORD_VERSION)
+        .bind(i64::from(RECORD_VERSION))
         .execute(tx)
         .await?;
     Ok(())

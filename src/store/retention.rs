@@ -58,32 +58,32 @@ impl Aged {
     const fn sql(self) -> (&'static str, &'static str, &'static str, &'static str) {
         match self {
             // An item of a batch has its answer's id long before it is asked, where the batch was paused.
-            Self::Answers => ("answers", "id", "octet_length(body)", "id < ?2 AND created_at < ?1"),
+            Self::Answers => ("answers", "id", "octet_length(body)", "id < $2 AND created_at < $1"),
             Self::Batches => (
                 "batches",
                 "id",
-                "(SELECT coalesce(sum(octet_length(request)), 0) FROM batch_items WHERE batch_id = batches.id)",
-                "id < ?2 AND state IN ('succeeded', 'cancelled') AND finished_at < ?1",
+                "(SELECT CAST(coalesce(sum(octet_length(request)), 0) AS bigint) FROM batch_items WHERE batch_id = batches.id)",
+                "id < $2 AND state IN ('succeeded', 'cancelled') AND finished_at < $1",
             ),
             Self::Jobs => (
                 "jobs",
                 "id",
                 "octet_length(payload)",
-                "id < ?2 AND state IN ('succeeded', 'failed', 'cancelled') AND finished_at < ?1
+                "id < $2 AND state IN ('succeeded', 'failed', 'cancelled') AND finished_at < $1
                  AND id NOT IN (SELECT job_id FROM scenes WHERE job_id IS NOT NULL)
                  AND id NOT IN (SELECT job_id FROM batches WHERE job_id IS NOT NULL)",
             ),
-            Self::IdempotencyKeys => ("idempotency_keys", "key", "octet_length(key)", "created_at < ?1 AND ?2 IS NOT NULL"),
-            Self::QuestionKeys => ("question_keys", "key", "octet_length(key)", "created_at < ?1 AND ?2 IS NOT NULL"),
-            Self::Audit => ("audit", "id", "octet_length(path)", "id < ?2 AND at < ?1"),
+            Self::IdempotencyKeys => ("idempotency_keys", "key", "octet_length(key)", "created_at < $1 AND $2 IS NOT NULL"),
+            Self::QuestionKeys => ("question_keys", "key", "octet_length(key)", "created_at < $1 AND $2 IS NOT NULL"),
+            Self::Audit => ("audit", "id", "octet_length(path)", "id < $2 AND at < $1"),
             // Their bytes are in files.
-            Self::Uploads => ("uploads", "id", "0", "id < ?2 AND updated_at < ?1"),
+            Self::Uploads => ("uploads", "id", "0", "id < $2 AND updated_at < $1"),
             Self::SupersededParses => (
                 "parses",
                 "id",
-                "(SELECT coalesce(sum(octet_length(body)), 0) FROM instances WHERE parse_id = parses.id)",
-                "superseded_at < ?1 AND ?2 IS NOT NULL
-                 AND id NOT IN (SELECT parse_id FROM scenes WHERE parse_id IS NOT NULL)
+                "(SELECT CAST(coalesce(sum(octet_length(body)), 0) AS bigint) FROM instances WHERE parse_id = parses.id)",
+                "superseded_at < $1 AND $2 IS NOT NULL
+                 AND NOT EXISTS (SELECT 1 FROM scenes WHERE scenes.parse_id = parses.id)
                  AND NOT EXISTS (SELECT 1 FROM answers WHERE parse_id = parses.id)",
             ),
         }
@@ -97,8 +97,12 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn due(&self, aged: Aged, before: &Before, after: &str, limit: u32) -> Result<Vec<Due>, StoreError> {
         let (table, key, bytes, condition) = aged.sql();
-        let sql = format!("SELECT {key} AS id, {bytes} AS bytes FROM {table} WHERE {condition} AND {key} > ?3 ORDER BY {key} LIMIT ?4");
-        let due = sqlx::query_as(AssertSqlSafe(sql)).bind(&before.time).bind(&before.id).bind(after).bind(limit);
+        let sql = format!("SELECT {key} AS id, {bytes} AS bytes FROM {table} WHERE {condition} AND {key} > $3 ORDER BY {key} LIMIT $4");
+        let due = sqlx::query_as(AssertSqlSafe(sql))
+            .bind(&before.time)
+            .bind(&before.id)
+            .bind(after)
+            .bind(i64::from(limit));
         let due: Vec<(String, i64)> = due.fetch_all(&self.reader).await?;
         Ok(due.into_iter().map(|(id, bytes)| Due { id, bytes: u64::try_from(bytes).unwrap_or(0) }).collect())
     }
@@ -113,16 +117,18 @@ impl Store {
         if aged == Aged::Batches {
             return self.remove_batches(before, &ids, condition).await;
         }
-        let sql = format!("DELETE FROM {table} WHERE {condition} AND {key} IN (SELECT value FROM json_each(?3)) RETURNING {key}");
+        let among = self.engine.values_of("$3");
+        let sql = format!("DELETE FROM {table} WHERE {condition} AND {key} IN {among} RETURNING {key}");
         let removed = sqlx::query_scalar(AssertSqlSafe(sql)).bind(&before.time).bind(&before.id).bind(ids);
         Ok(removed.fetch_all(self.writer.pool()).await?)
     }
 
     /// A batch may have a million items. It is hidden first, as one that is still coming in: whatever happens then, nobody meets half of it.
     async fn remove_batches(&self, before: &Before, ids: &str, condition: &str) -> Result<Vec<String>, StoreError> {
+        let among = self.engine.values_of("$3");
         let hide = format!(
             "UPDATE batches SET state = 'receiving', key = NULL
-             WHERE {condition} AND id IN (SELECT value FROM json_each(?3)) RETURNING id"
+             WHERE {condition} AND id IN {among} RETURNING id"
         );
         let hidden: Vec<String> = sqlx::query_scalar(AssertSqlSafe(hide))
             .bind(&before.time)
@@ -130,10 +136,17 @@ impl Store {
             .bind(ids)
             .fetch_all(self.writer.pool())
             .await?;
-        let some = "DELETE FROM batch_items WHERE batch_id = ?1
-                    AND item IN (SELECT item FROM batch_items WHERE batch_id = ?1 LIMIT ?2)";
+        let some = "DELETE FROM batch_items WHERE batch_id = $1
+                    AND item IN (SELECT item FROM batch_items WHERE batch_id = $1 LIMIT $2)";
         for id in &hidden {
-            while sqlx::query(some).bind(id).bind(ITEMS_TOGETHER).execute(self.writer.pool()).await?.rows_affected() > 0 {}
+            while sqlx::query(some)
+                .bind(id)
+                .bind(i64::from(ITEMS_TOGETHER))
+                .execute(self.writer.pool())
+                .await?
+                .rows_affected()
+                > 0
+            {}
             self.delete_batch(id).await?;
         }
         Ok(hidden)
@@ -144,11 +157,11 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn mark_superseded_parses(&self, now: Timestamp) -> Result<(), StoreError> {
-        let is_used = "(id IN (SELECT parse_id FROM scenes WHERE parse_id IS NOT NULL)
+        let is_used = "(EXISTS (SELECT 1 FROM scenes WHERE scenes.parse_id = parses.id)
                         OR EXISTS (SELECT 1 FROM answers WHERE parse_id = parses.id))";
         for sql in [
-            format!("UPDATE parses SET superseded_at = ?1 WHERE superseded_at IS NULL AND NOT {is_used}"),
-            format!("UPDATE parses SET superseded_at = NULL WHERE superseded_at IS NOT NULL AND {is_used} AND ?1 IS NOT NULL"),
+            format!("UPDATE parses SET superseded_at = $1 WHERE superseded_at IS NULL AND NOT {is_used}"),
+            format!("UPDATE parses SET superseded_at = NULL WHERE superseded_at IS NOT NULL AND {is_used} AND $1 IS NOT NULL"),
         ] {
             sqlx::query(AssertSqlSafe(sql)).bind(now.to_string()).execute(self.writer.pool()).await?;
         }
@@ -170,7 +183,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn compact(&self) -> Result<(), StoreError> {
-        for sql in ["VACUUM", "PRAGMA wal_checkpoint(TRUNCATE)"] {
+        for &sql in self.engine.compact() {
             sqlx::query(sql).execute(self.writer.pool()).await?;
         }
         Ok(())

@@ -5,8 +5,8 @@ use super::records::read_or_none;
 use super::writer::Transaction;
 use super::{JobRow, NewJob, Store, StoreError, now};
 use camino::Utf8PathBuf;
-use sqlx::sqlite::SqliteRow;
-use sqlx::{FromRow, Row, SqliteConnection};
+use sqlx::any::AnyRow;
+use sqlx::{AnyConnection, AssertSqlSafe, FromRow, Row};
 use uniground_types::labels::Labels;
 use uniground_types::placement::SceneToMap;
 
@@ -44,8 +44,8 @@ pub struct SceneFilter {
     pub labels: Labels,
 }
 
-impl FromRow<'_, SqliteRow> for SceneRow {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
+impl FromRow<'_, AnyRow> for SceneRow {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
         Ok(Self {
             id: row.try_get("id")?,
             name: row.try_get("name")?,
@@ -87,8 +87,8 @@ pub enum Inserted {
     KeyReused,
 }
 
-pub(super) async fn made_by_key(connection: &mut SqliteConnection, key: &str) -> sqlx::Result<Option<(SceneRow, Option<String>)>> {
-    let sql = "SELECT scenes.*, request FROM scenes JOIN idempotency_keys ON scene_id = scenes.id WHERE key = ?";
+pub(super) async fn made_by_key(connection: &mut AnyConnection, key: &str) -> sqlx::Result<Option<(SceneRow, Option<String>)>> {
+    let sql = "SELECT scenes.*, request FROM scenes JOIN idempotency_keys ON scene_id = scenes.id WHERE key = $1";
     let row = sqlx::query(sql).bind(key).fetch_optional(connection).await?;
     row.map(|row| Ok((SceneRow::from_row(&row)?, row.try_get("request")?))).transpose()
 }
@@ -110,13 +110,13 @@ impl Store {
             let same = before.is_none_or(|before| before == request);
             return Ok(if same { Inserted::MadeBefore(scene) } else { Inserted::KeyReused });
         }
-        sqlx::query("INSERT INTO contents (hash, bytes, created_at) VALUES (?, ?, ?) ON CONFLICT DO NOTHING")
+        sqlx::query("INSERT INTO contents (hash, bytes, created_at) VALUES ($1, $2, $3) ON CONFLICT DO NOTHING")
             .bind(content_hash)
             .bind(i64::try_from(content_bytes).unwrap_or(i64::MAX))
             .bind(&time)
             .execute(&mut *tx)
             .await?;
-        let sql = "INSERT INTO scenes (id, name, content_hash, created_at, updated_at, key_id) VALUES (?, ?, ?, ?4, ?4, ?5)";
+        let sql = "INSERT INTO scenes (id, name, content_hash, created_at, updated_at, key_id) VALUES ($1, $2, $3, $4, $4, $5)";
         sqlx::query(sql)
             .bind(id)
             .bind(name)
@@ -126,14 +126,14 @@ impl Store {
             .execute(&mut *tx)
             .await?;
         if let Some((key, request)) = key {
-            let sql = "INSERT INTO idempotency_keys (key, scene_id, created_at, request) VALUES (?, ?, ?, ?)";
+            let sql = "INSERT INTO idempotency_keys (key, scene_id, created_at, request) VALUES ($1, $2, $3, $4)";
             sqlx::query(sql).bind(key).bind(id).bind(&time).bind(request).execute(&mut *tx).await?;
         }
         let job = match job {
             Some(job) => Some(add_job(&mut tx, id, &self.new_id(), job).await?),
             None => None,
         };
-        let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = ?").bind(id).fetch_one(&mut *tx).await?;
+        let scene = sqlx::query_as("SELECT * FROM scenes WHERE id = $1").bind(id).fetch_one(&mut *tx).await?;
         tx.commit().await?;
         Ok(Inserted::New(scene, job.map(Box::new)))
     }
@@ -144,7 +144,7 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn insert_scene_job(&self, scene_id: &str, job: NewJob<'_>) -> Result<Option<JobRow>, StoreError> {
         let mut tx = self.writer.begin().await?;
-        let found: Option<i64> = sqlx::query_scalar("SELECT 1 FROM scenes WHERE id = ?")
+        let found: Option<i64> = sqlx::query_scalar("SELECT 1 FROM scenes WHERE id = $1")
             .bind(scene_id)
             .fetch_optional(&mut *tx)
             .await?;
@@ -160,7 +160,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn scene(&self, id: &str) -> Result<Option<SceneRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM scenes WHERE id = ?").bind(id).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT * FROM scenes WHERE id = $1").bind(id).fetch_optional(&self.reader).await?)
     }
 
     /// The scene that a key made, and what identifies the request it came with, where that was noted.
@@ -176,13 +176,14 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn scenes(&self, limit: u32, cursor: Option<&str>, filter: &SceneFilter) -> Result<Vec<SceneRow>, StoreError> {
-        let sql = "SELECT * FROM scenes WHERE (?1 IS NULL OR id < ?1) AND (?3 IS NULL OR id IN (SELECT value FROM json_each(?3)))
-                   AND NOT EXISTS (SELECT 1 FROM json_each(?4) AS wanted WHERE NOT EXISTS (
-                       SELECT 1 FROM json_each(scenes.labels) AS has WHERE has.key = wanted.key AND has.value = wanted.value))
-                   ORDER BY id DESC LIMIT ?2";
+        let (among, is_filed_so) = (self.engine.values_of("$3"), self.engine.contains("scenes.labels", "$4"));
+        let sql = format!(
+            "SELECT * FROM scenes WHERE ($1 IS NULL OR id < $1) AND ($3 IS NULL OR id IN {among}) AND {is_filed_so}
+             ORDER BY id DESC LIMIT $2"
+        );
         let ids = filter.ids.as_ref().map(serde_json::to_string).transpose()?;
         let labels = serde_json::to_string(&filter.labels)?;
-        let query = sqlx::query_as(sql).bind(cursor).bind(limit).bind(ids).bind(labels);
+        let query = sqlx::query_as(AssertSqlSafe(sql)).bind(cursor).bind(i64::from(limit)).bind(ids).bind(labels);
         Ok(query.fetch_all(&self.reader).await?)
     }
 
@@ -190,9 +191,9 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn change_scene(&self, id: &str, change: SceneRowChange<'_>) -> Result<Option<SceneRow>, StoreError> {
         let SceneRowChange { name, scene_to_map, map_frame_id, labels } = change;
-        let sql = "UPDATE scenes SET name = coalesce(?1, name), scene_to_map = CASE WHEN ?2 THEN ?3 ELSE scene_to_map END,
-                   map_frame_id = CASE WHEN ?4 THEN ?5 ELSE map_frame_id END, updated_at = ?6, labels = coalesce(?8, labels)
-                   WHERE id = ?7 RETURNING *";
+        let sql = "UPDATE scenes SET name = coalesce($1, name), scene_to_map = CASE WHEN $2 THEN $3 ELSE scene_to_map END,
+                   map_frame_id = CASE WHEN $4 THEN $5 ELSE map_frame_id END, updated_at = $6, labels = coalesce($8, labels)
+                   WHERE id = $7 RETURNING *";
         let place = scene_to_map.flatten().map(|place| serde_json::to_string(&place)).transpose()?;
         let query = sqlx::query_as(sql)
             .bind(name)
@@ -212,13 +213,13 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn set_scene_parse(&self, id: &str, parse_id: &str, job_id: &str) -> Result<(), StoreError> {
         let mut tx = self.writer.begin().await?;
-        let before: Option<Option<String>> = sqlx::query_scalar("SELECT parse_id FROM scenes WHERE id = ?")
+        let before: Option<Option<String>> = sqlx::query_scalar("SELECT parse_id FROM scenes WHERE id = $1")
             .bind(id)
             .fetch_optional(&mut *tx)
             .await?;
         // Ids are in order of time.
-        let sql = "UPDATE scenes SET parse_version = parse_version + (parse_id IS NOT ?1), parse_id = ?1, updated_at = ?2
-                   WHERE id = ?3 AND (job_id IS NULL OR job_id <= ?4)";
+        let sql = "UPDATE scenes SET parse_version = parse_version + CASE WHEN parse_id IS DISTINCT FROM $1 THEN 1 ELSE 0 END, parse_id = $1, updated_at = $2
+                   WHERE id = $3 AND (job_id IS NULL OR job_id <= $4)";
         let query = sqlx::query(sql).bind(parse_id).bind(now()).bind(id).bind(job_id);
         let is_set = query.execute(&mut *tx).await?.rows_affected() > 0;
         if let Some(before) = before.flatten().filter(|_| is_set) {
@@ -234,8 +235,11 @@ impl Store {
     /// [`StoreError`].
     pub async fn delete_scene(&self, id: &str) -> Result<Option<Vec<Utf8PathBuf>>, StoreError> {
         let mut tx = self.writer.begin().await?;
-        let answers: Vec<String> = sqlx::query_scalar("SELECT id FROM answers WHERE scene_id = ?").bind(id).fetch_all(&mut *tx).await?;
-        let content: Option<String> = sqlx::query_scalar("DELETE FROM scenes WHERE id = ? RETURNING content_hash")
+        let answers: Vec<String> = sqlx::query_scalar("SELECT id FROM answers WHERE scene_id = $1")
+            .bind(id)
+            .fetch_all(&mut *tx)
+            .await?;
+        let content: Option<String> = sqlx::query_scalar("DELETE FROM scenes WHERE id = $1 RETURNING content_hash")
             .bind(id)
             .fetch_optional(&mut *tx)
             .await?;
@@ -267,12 +271,12 @@ impl Store {
 pub(super) async fn add_job(tx: &mut Transaction, scene_id: &str, id: &str, job: NewJob<'_>) -> Result<JobRow, StoreError> {
     let done = job.done;
     let time = now();
-    let sql = "UPDATE scenes SET job_id = ?, updated_at = ? WHERE id = ?";
+    let sql = "UPDATE scenes SET job_id = $1, updated_at = $2 WHERE id = $3";
     sqlx::query(sql).bind(id).bind(&time).bind(scene_id).execute(&mut **tx).await?;
     let Some((parse_id, message)) = done else {
         return super::jobs::insert(tx, id, scene_id, &job).await;
     };
-    let sql = "UPDATE scenes SET parse_version = parse_version + (parse_id IS NOT ?1), parse_id = ?1 WHERE id = ?2";
+    let sql = "UPDATE scenes SET parse_version = parse_version + CASE WHEN parse_id IS DISTINCT FROM $1 THEN 1 ELSE 0 END, parse_id = $1 WHERE id = $2";
     sqlx::query(sql).bind(parse_id).bind(scene_id).execute(&mut **tx).await?;
     super::jobs::insert_done(tx, id, scene_id, &job, message).await
 }

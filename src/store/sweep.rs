@@ -44,8 +44,12 @@ impl Store {
             unknown.extend(self.blobs.names(kind)?.into_iter().filter(|name| !known.contains(name)).map(|name| (kind, name)));
         }
         for names in self.blobs.names("answers")?.chunks(CHUNK) {
-            let sql = "SELECT value FROM json_each(?) WHERE value NOT IN (SELECT id FROM answers)";
-            let missing: Vec<String> = sqlx::query_scalar(sql).bind(serde_json::to_string(names)?).fetch_all(&self.reader).await?;
+            let names_here = self.engine.values_of("$1");
+            let sql = format!("SELECT value FROM {names_here} AS here WHERE NOT EXISTS (SELECT 1 FROM answers WHERE id = value)");
+            let missing: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql))
+                .bind(serde_json::to_string(names)?)
+                .fetch_all(&self.reader)
+                .await?;
             unknown.extend(missing.into_iter().map(|name| ("answers", name)));
         }
         let mut strays = Strays::default();

@@ -1,9 +1,10 @@
 //! Uploads that come in parts: what was said of them, how much is there, what came of them.
 
+use super::database::number;
 use super::records::read_or_none;
 use super::{Store, StoreError, now};
 use serde::{Deserialize, Serialize};
-use sqlx::sqlite::SqliteRow;
+use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
 use std::collections::HashSet;
 use std::fs;
@@ -65,9 +66,9 @@ pub struct Unfinished {
 
 const OPEN: &str = "scene_id IS NULL AND problem IS NULL";
 
-impl FromRow<'_, SqliteRow> for UploadRow {
-    fn from_row(row: &SqliteRow) -> sqlx::Result<Self> {
-        let bytes = |column| row.try_get::<i64, _>(column).map(|bytes| u64::try_from(bytes).unwrap_or(0));
+impl FromRow<'_, AnyRow> for UploadRow {
+    fn from_row(row: &AnyRow) -> sqlx::Result<Self> {
+        let bytes = |column| number(row.try_get(column)?);
         let job_id = row.try_get("job_id")?;
         let scene = row.try_get::<Option<String>, _>("scene_id")?.map(|scene_id| CameOf::Scene { scene_id, job_id });
         let problem = row.try_get::<Option<String>, _>("problem")?;
@@ -91,7 +92,7 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn insert_upload(&self, wanted: &WantedScene, length: u64, key_id: Option<&str>) -> Result<UploadRow, StoreError> {
-        let sql = "INSERT INTO uploads (id, key_id, wanted, length, created_at, updated_at) VALUES (?1, ?2, ?3, ?4, ?5, ?5) RETURNING *";
+        let sql = "INSERT INTO uploads (id, key_id, wanted, length, created_at, updated_at) VALUES ($1, $2, $3, $4, $5, $5) RETURNING *";
         let query = sqlx::query_as(sql)
             .bind(self.new_id())
             .bind(key_id)
@@ -104,7 +105,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn upload(&self, id: &str) -> Result<Option<UploadRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM uploads WHERE id = ?").bind(id).fetch_optional(&self.reader).await?)
+        Ok(sqlx::query_as("SELECT * FROM uploads WHERE id = $1").bind(id).fetch_optional(&self.reader).await?)
     }
 
     /// Notes how much of an upload is on the disk; `None` where it is gone.
@@ -112,7 +113,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn note_received(&self, id: &str, received: u64) -> Result<Option<UploadRow>, StoreError> {
-        let sql = "UPDATE uploads SET received = ?, updated_at = ? WHERE id = ? RETURNING *";
+        let sql = "UPDATE uploads SET received = $1, updated_at = $2 WHERE id = $3 RETURNING *";
         let query = sqlx::query_as(sql).bind(i64::try_from(received).unwrap_or(i64::MAX)).bind(now()).bind(id);
         Ok(query.fetch_optional(self.writer.pool()).await?)
     }
@@ -126,7 +127,7 @@ impl Store {
             CameOf::Scene { scene_id, job_id } => (Some(scene_id), job_id.as_ref(), None),
             CameOf::Nothing(why) => (None, None, Some(serde_json::to_string(why)?)),
         };
-        let sql = "UPDATE uploads SET scene_id = ?, job_id = ?, problem = ?, updated_at = ? WHERE id = ? RETURNING *";
+        let sql = "UPDATE uploads SET scene_id = $1, job_id = $2, problem = $3, updated_at = $4 WHERE id = $5 RETURNING *";
         let query = sqlx::query_as(sql).bind(scene_id).bind(job_id).bind(problem).bind(now()).bind(id);
         Ok(query.fetch_optional(self.writer.pool()).await?)
     }
@@ -136,7 +137,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn delete_upload(&self, id: &str) -> Result<bool, StoreError> {
-        let deleted = sqlx::query("DELETE FROM uploads WHERE id = ?").bind(id).execute(self.writer.pool()).await?;
+        let deleted = sqlx::query("DELETE FROM uploads WHERE id = $1").bind(id).execute(self.writer.pool()).await?;
         Ok(deleted.rows_affected() > 0)
     }
 
@@ -146,12 +147,13 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn unfinished_uploads(&self, since: &str, key_id: Option<&str>) -> Result<Unfinished, StoreError> {
         let sql = format!(
-            "SELECT count(*), coalesce(sum(key_id IS ?2), 0), coalesce(sum(length - received), 0) FROM uploads
-             WHERE {OPEN} AND updated_at >= ?1"
+            "SELECT count(*), coalesce(sum(CASE WHEN key_id IS NOT DISTINCT FROM $2 THEN 1 ELSE 0 END), 0),
+                    CAST(coalesce(sum(length - received), 0) AS bigint) FROM uploads
+             WHERE {OPEN} AND updated_at >= $1"
         );
-        let (uploads, of_key, announced): (u32, u32, i64) =
+        let (uploads, of_key, announced): (i64, i64, i64) =
             sqlx::query_as(sqlx::AssertSqlSafe(sql)).bind(since).bind(key_id).fetch_one(&self.reader).await?;
-        Ok(Unfinished { uploads, of_key, announced_bytes: u64::try_from(announced).unwrap_or(0) })
+        Ok(Unfinished { uploads: number(uploads)?, of_key: number(of_key)?, announced_bytes: number(announced)? })
     }
 
     /// Uploads that are all there and of which nothing was made yet.

@@ -1,5 +1,6 @@
 //! What is kept of vision-language models: names they gave, and what was paid.
 
+use super::database::{number, without_nul};
 use super::{Store, StoreError, now};
 use std::collections::BTreeMap;
 
@@ -9,9 +10,14 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn instance_names(&self, parse_id: &str, model: &str, prompt_version: u32) -> Result<BTreeMap<u32, String>, StoreError> {
-        let sql = "SELECT instance_id, name FROM instance_names WHERE parse_id = ? AND model = ? AND prompt_version = ?";
-        let rows: Vec<(u32, String)> = sqlx::query_as(sql).bind(parse_id).bind(model).bind(prompt_version).fetch_all(&self.reader).await?;
-        Ok(rows.into_iter().collect())
+        let sql = "SELECT instance_id, name FROM instance_names WHERE parse_id = $1 AND model = $2 AND prompt_version = $3";
+        let rows: Vec<(i64, String)> = sqlx::query_as(sql)
+            .bind(parse_id)
+            .bind(model)
+            .bind(i64::from(prompt_version))
+            .fetch_all(&self.reader)
+            .await?;
+        Ok(rows.into_iter().map(|(id, name)| Ok((number(id)?, name))).collect::<sqlx::Result<_>>()?)
     }
 
     /// Keeps names; those given before stay. Nothing is kept when the parse is gone.
@@ -25,16 +31,16 @@ impl Store {
         prompt_version: u32,
         names: &BTreeMap<u32, String>,
     ) -> Result<(), StoreError> {
-        let sql = "INSERT OR IGNORE INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
-                   SELECT ?1, ?2, ?3, ?4, ?5, ?6 WHERE EXISTS (SELECT 1 FROM parses WHERE id = ?1)";
+        let sql = "INSERT INTO instance_names (parse_id, model, prompt_version, instance_id, name, created_at)
+                   SELECT $1, $2, $3, $4, $5, $6 WHERE EXISTS (SELECT 1 FROM parses WHERE id = $1) ON CONFLICT DO NOTHING";
         let mut tx = self.writer.begin().await?;
         for (id, name) in names {
             sqlx::query(sql)
                 .bind(parse_id)
                 .bind(model)
-                .bind(prompt_version)
-                .bind(id)
-                .bind(name)
+                .bind(i64::from(prompt_version))
+                .bind(i64::from(*id))
+                .bind(&*without_nul(name))
                 .bind(now())
                 .execute(&mut *tx)
                 .await?;
@@ -47,9 +53,9 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn complete_name_index(&self, parse_id: &str, model: &str, prompt_version: u32) -> Result<(), StoreError> {
-        let sql = "INSERT OR IGNORE INTO name_indexes (parse_id, model, prompt_version, created_at)
-                   SELECT ?1, ?2, ?3, ?4 WHERE EXISTS (SELECT 1 FROM parses WHERE id = ?1)";
-        let insert = sqlx::query(sql).bind(parse_id).bind(model).bind(prompt_version).bind(now());
+        let sql = "INSERT INTO name_indexes (parse_id, model, prompt_version, created_at)
+                   SELECT $1, $2, $3, $4 WHERE EXISTS (SELECT 1 FROM parses WHERE id = $1) ON CONFLICT DO NOTHING";
+        let insert = sqlx::query(sql).bind(parse_id).bind(model).bind(i64::from(prompt_version)).bind(now());
         insert.execute(self.writer.pool()).await?;
         Ok(())
     }
@@ -59,8 +65,12 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn name_index(&self, parse_id: &str, prompt_version: u32) -> Result<Option<String>, StoreError> {
-        let sql = "SELECT model FROM name_indexes WHERE parse_id = ? AND prompt_version = ? ORDER BY created_at DESC, model LIMIT 1";
-        Ok(sqlx::query_scalar(sql).bind(parse_id).bind(prompt_version).fetch_optional(&self.reader).await?)
+        let sql = "SELECT model FROM name_indexes WHERE parse_id = $1 AND prompt_version = $2 ORDER BY created_at DESC, model LIMIT 1";
+        Ok(sqlx::query_scalar(sql)
+            .bind(parse_id)
+            .bind(i64::from(prompt_version))
+            .fetch_optional(&self.reader)
+            .await?)
     }
 
     /// What was spent on a day, US dollars.
@@ -68,7 +78,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn spent_on(&self, day: &str) -> Result<f64, StoreError> {
-        let usd: Option<f64> = sqlx::query_scalar("SELECT usd FROM spending WHERE day = ?")
+        let usd: Option<f64> = sqlx::query_scalar("SELECT usd FROM spending WHERE day = $1")
             .bind(day)
             .fetch_optional(&self.reader)
             .await?;
@@ -80,7 +90,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn reserve_spending(&self, id: &str, day: &str, usd: f64, key_id: Option<&str>) -> Result<(), StoreError> {
-        let sql = "INSERT INTO reservations (id, day, usd, key_id) VALUES (?, ?, ?, ?)";
+        let sql = "INSERT INTO reservations (id, day, usd, key_id) VALUES ($1, $2, $3, $4)";
         sqlx::query(sql).bind(id).bind(day).bind(usd).bind(key_id).execute(self.writer.pool()).await?;
         Ok(())
     }
@@ -91,16 +101,16 @@ impl Store {
     /// [`StoreError`].
     pub async fn settle_spending(&self, id: &str, usd: f64) -> Result<(), StoreError> {
         let mut tx = self.writer.begin().await?;
-        let reserved: Option<(String, Option<String>)> = sqlx::query_as("DELETE FROM reservations WHERE id = ? RETURNING day, key_id")
+        let reserved: Option<(String, Option<String>)> = sqlx::query_as("DELETE FROM reservations WHERE id = $1 RETURNING day, key_id")
             .bind(id)
             .fetch_optional(&mut *tx)
             .await?;
         if let Some((day, key_id)) = reserved {
-            let sql = "INSERT INTO spending (day, usd) VALUES (?1, ?2) ON CONFLICT (day) DO UPDATE SET usd = usd + ?2";
+            let sql = "INSERT INTO spending (day, usd) VALUES ($1, $2) ON CONFLICT (day) DO UPDATE SET usd = spending.usd + $2";
             sqlx::query(sql).bind(&day).bind(usd).execute(&mut *tx).await?;
             if let Some(key_id) = key_id {
-                let sql = "INSERT INTO key_spending (key_id, day, usd) VALUES (?1, ?2, ?3)
-                           ON CONFLICT (key_id, day) DO UPDATE SET usd = usd + ?3";
+                let sql = "INSERT INTO key_spending (key_id, day, usd) VALUES ($1, $2, $3)
+                           ON CONFLICT (key_id, day) DO UPDATE SET usd = key_spending.usd + $3";
                 sqlx::query(sql).bind(key_id).bind(day).bind(usd).execute(&mut *tx).await?;
             }
         }
@@ -114,11 +124,11 @@ impl Store {
     pub(super) async fn settle_what_was_left(&self) -> Result<(), StoreError> {
         let mut tx = self.writer.begin().await?;
         let sql = "INSERT INTO spending (day, usd) SELECT day, sum(usd) FROM reservations WHERE true GROUP BY day
-                   ON CONFLICT (day) DO UPDATE SET usd = usd + excluded.usd";
+                   ON CONFLICT (day) DO UPDATE SET usd = spending.usd + excluded.usd";
         sqlx::query(sql).execute(&mut *tx).await?;
         let sql = "INSERT INTO key_spending (key_id, day, usd)
                    SELECT key_id, day, sum(usd) FROM reservations WHERE key_id IS NOT NULL GROUP BY key_id, day
-                   ON CONFLICT (key_id, day) DO UPDATE SET usd = usd + excluded.usd";
+                   ON CONFLICT (key_id, day) DO UPDATE SET usd = key_spending.usd + excluded.usd";
         sqlx::query(sql).execute(&mut *tx).await?;
         sqlx::query("DELETE FROM reservations").execute(&mut *tx).await?;
         tx.commit().await

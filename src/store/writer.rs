@@ -1,36 +1,32 @@
-//! The one writing connection. Every write is a transaction that ends on every path: one that was not committed takes its connection with
-//! it, and the next write gets a new one. So neither a full disk nor a caller that leaves can spoil what comes after.
+//! The one who writes. Every write is a transaction that ends on every path: one that was not committed takes its connection with it, and
+//! the next write gets a new one. So neither a full disk nor a caller that leaves can spoil what comes after.
 
 use super::StoreError;
+use super::database::Engine;
 use sqlx::pool::PoolConnection;
-use sqlx::sqlite::{SqliteConnectOptions, SqlitePool, SqlitePoolOptions};
-use sqlx::{Sqlite, SqliteConnection};
+use sqlx::{Any, AnyConnection, AnyPool, Executor};
 use std::ops::{Deref, DerefMut};
-use std::time::Duration;
 
-/// How long a write waits for its turn. SQLite's own wait for a lock is shorter.
-const TURN: Duration = Duration::from_secs(2);
-
-/// Gives out the writing connection, to one writer at a time.
+/// Gives out connections that write, to one transaction at a time.
 #[derive(Clone)]
 pub(super) struct Writer {
-    pool: SqlitePool,
+    pool: AnyPool,
+    engine: Engine,
 }
 
 impl Writer {
-    pub async fn open(options: SqliteConnectOptions) -> Result<Self, StoreError> {
-        let pool = SqlitePoolOptions::new().max_connections(1).acquire_timeout(TURN).connect_with(options).await?;
-        Ok(Self { pool })
+    pub fn new(pool: AnyPool, engine: Engine) -> Self {
+        Self { pool, engine }
     }
 
     /// Begins a transaction that nobody else writes beside.
     pub async fn begin(&self) -> Result<Transaction, StoreError> {
         let mut transaction = Transaction { connection: self.pool.acquire().await?, ended: false };
-        sqlx::query("BEGIN IMMEDIATE").execute(&mut *transaction).await?;
+        transaction.execute(self.engine.begin()).await?;
         Ok(transaction)
     }
 
-    pub fn pool(&self) -> &SqlitePool {
+    pub fn pool(&self) -> &AnyPool {
         &self.pool
     }
 
@@ -41,7 +37,7 @@ impl Writer {
 
 /// A transaction; it counts once it is [committed](Self::commit).
 pub(super) struct Transaction {
-    connection: PoolConnection<Sqlite>,
+    connection: PoolConnection<Any>,
     ended: bool,
 }
 
@@ -62,15 +58,15 @@ impl Transaction {
 }
 
 impl Deref for Transaction {
-    type Target = SqliteConnection;
+    type Target = AnyConnection;
 
-    fn deref(&self) -> &SqliteConnection {
+    fn deref(&self) -> &AnyConnection {
         &self.connection
     }
 }
 
 impl DerefMut for Transaction {
-    fn deref_mut(&mut self) -> &mut SqliteConnection {
+    fn deref_mut(&mut self) -> &mut AnyConnection {
         &mut self.connection
     }
 }

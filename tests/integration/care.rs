@@ -1,11 +1,10 @@
 //! What is kept for a time only, and what `uniground gc` does about it.
 
 use crate::archives::Scan;
-use crate::server::{TestServer, ask, finished};
+use crate::server::{TestServer, ask, finished, in_database, loose_rows};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::Value;
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
-use sqlx::{AssertSqlSafe, Connection};
+use sqlx::{AnyConnection, AssertSqlSafe, Connection};
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::process::{Command, Output};
@@ -17,13 +16,7 @@ use uniground_types::batch::{BatchRequest, BatchState};
 const OLD: &str = "016f5e66-e800-7000-8000-00000000000";
 const LONG_AGO: &str = "2020-01-01T00:00:00Z";
 
-async fn database(data: &Utf8Path) -> SqliteConnection {
-    SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(data.join("uniground.sqlite")).foreign_keys(false))
-        .await
-        .unwrap()
-}
-
-async fn run(rows: &mut SqliteConnection, sql: impl Into<String>) {
+async fn run(rows: &mut AnyConnection, sql: impl Into<String>) {
     let sql = sql.into();
     sqlx::raw_sql(AssertSqlSafe(sql.clone()))
         .execute(rows)
@@ -31,13 +24,18 @@ async fn run(rows: &mut SqliteConnection, sql: impl Into<String>) {
         .unwrap_or_else(|error| panic!("{sql}: {error}"));
 }
 
-async fn ids(rows: &mut SqliteConnection, sql: &'static str) -> Vec<String> {
+async fn ids(rows: &mut AnyConnection, sql: &'static str) -> Vec<String> {
     sqlx::query_scalar(sql).fetch_all(rows).await.unwrap()
 }
 
 fn gc(data: &Utf8Path, more: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
-    command.args(["gc", "--data-dir", data.as_str()]).args(more).output().unwrap()
+    command
+        .args(["gc", "--data-dir", data.as_str()])
+        .envs(in_database(data))
+        .args(more)
+        .output()
+        .unwrap()
 }
 
 /// What went, by kind: entries and bytes.
@@ -98,12 +96,12 @@ async fn folder_of_every_kind() -> (tempfile::TempDir, String, String, String) {
     }
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
-    let mut rows = database(folder).await;
+    let mut rows = loose_rows(folder).await;
     run(
         &mut rows,
         format!(
             "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
-             SELECT '{OLD}' || value, scene_id, parse_id, body, '{LONG_AGO}' FROM answers, json_each('[1, 2, 3]') WHERE answers.id = '{answer}';
+             SELECT '{OLD}' || value, scene_id, parse_id, body, '{LONG_AGO}' FROM answers, (SELECT '1' AS value UNION ALL SELECT '2' UNION ALL SELECT '3') AS few WHERE answers.id = '{answer}';
              -- Asked long after it got its id: its batch was paused.
              INSERT INTO answers (id, scene_id, parse_id, body, created_at)
              SELECT '{OLD}4', scene_id, parse_id, body, created_at FROM answers WHERE id = '{answer}';
@@ -192,7 +190,7 @@ async fn what_was_kept_long_enough_goes_and_nothing_else() {
     assert_eq!(entries, expected);
     assert!(gone.values().all(|(_, bytes)| *bytes > 0), "{gone:?}");
 
-    let mut rows = database(folder).await;
+    let mut rows = loose_rows(folder).await;
     let jobs = ids(&mut rows, "SELECT id FROM jobs WHERE id < '018' ORDER BY id").await;
     assert_eq!(jobs, ["6", "7", "9"].map(|end| format!("{OLD}{end}")));
     assert!(ids(&mut rows, "SELECT id FROM answers").await.contains(&answer));
@@ -240,7 +238,7 @@ async fn a_parse_somebody_refers_to_stays() {
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let parses = || folder.join("blobs/parses").read_dir_utf8().unwrap().count();
-    let mut rows = database(folder).await;
+    let mut rows = loose_rows(folder).await;
     run(&mut rows, format!("UPDATE parses SET created_at = '{LONG_AGO}', superseded_at = '{LONG_AGO}'")).await;
     assert_eq!(told(&gc(folder, &["--json"]))["superseded parses"].0, 0, "the answer was given for it");
     run(&mut rows, format!("DELETE FROM answers WHERE id = '{answer}'")).await;

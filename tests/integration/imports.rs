@@ -52,7 +52,7 @@ async fn what_lies_on_the_servers_disk_needs_no_upload() {
     assert!(stored.job.is_none());
 
     let (outside, absolute) = ("../room.zip", root.join("room.zip"));
-    for path in [outside, "link.zip", "no such", "/etc/passwd", "room.zip/x", "a\0b", ""] {
+    for path in [outside, "link.zip", "no such", "/etc/passwd", "room.zip/x", ""] {
         let refused = problem(client.import_scene(&ImportRequest::of(path)).await);
         let expected = if path.is_empty() { (422, "invalid_request") } else { (404, "import_not_found") };
         assert_eq!((refused.status, refused.code.as_str()), expected, "{path:?}: {refused:?}");

@@ -1,33 +1,27 @@
 //! What a data folder keeps, what it lets go of, and how damage in it is found and mended.
 
 use crate::archives::Scan;
-use crate::server::{Process, TestServer, ask, finished, parsed, problem};
+use crate::server::{Process, TestServer, ask, finished, in_database, location, parsed, problem, rows};
 use camino::{Utf8Path, Utf8PathBuf};
 use sqlx::Connection;
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use std::fs;
 use std::process::{Command, Output};
 use uniground::config::{LimitsConfig, ModelsConfig, RetentionConfig, VlmConfig};
 use uniground::service::Service;
-use uniground::store::{JobState, Store};
+use uniground::store::{JobState, Location, Store};
 use uniground_types::corrections::Change;
 
 fn doctor(data: &Utf8Path, more: &[&str]) -> Output {
     let program = Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args(["doctor", "--data-dir", data.as_str()])
         .args(more)
+        .envs(in_database(data))
         .output();
     program.unwrap()
 }
 
 fn told(output: &Output) -> String {
     format!("{}{}", String::from_utf8_lossy(&output.stdout), String::from_utf8_lossy(&output.stderr))
-}
-
-async fn database(data: &Utf8Path) -> SqliteConnection {
-    SqliteConnection::connect_with(&SqliteConnectOptions::new().filename(data.join("uniground.sqlite")))
-        .await
-        .unwrap()
 }
 
 fn only(folder: &Utf8Path) -> Utf8PathBuf {
@@ -52,9 +46,15 @@ async fn what_no_record_speaks_of_goes_to_the_quarantine() {
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
     fs::create_dir(folder.join("blobs/parses/another")).unwrap();
-    let mut rows = database(folder).await;
+    let mut rows = rows(folder).await;
     sqlx::query("UPDATE data_folder SET id = 'elsewhere'").execute(&mut rows).await.unwrap();
     rows.close().await.unwrap();
+    // A server's database can be named with any folder: it is not believed at all.
+    if let Location::Postgres(_) = location(folder) {
+        let refused = doctor(folder, &[]);
+        assert!(!refused.status.success() && told(&refused).contains("do not belong together"), "{}", told(&refused));
+        return;
+    }
     let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
     assert!(server.stored("blobs/parses").contains(&"another".to_owned()));
     assert_eq!(server.client.scene(&scene.id).await.unwrap().id, scene.id);
@@ -110,12 +110,12 @@ async fn old_answers_go_and_new_ones_stay() {
     let answer = server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap();
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
-    let mut rows = database(folder).await;
+    let mut rows = rows(folder).await;
     // Of January 2020, by id and time.
     let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
-               SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, '2020-01-01T00:00:00Z' FROM answers, json_each('[1,2,3]')";
+               SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, '2020-01-01T00:00:00Z' FROM answers, (SELECT '1' AS value UNION ALL SELECT '2' UNION ALL SELECT '3') AS few";
     sqlx::query(sql).execute(&mut rows).await.unwrap();
-    let store = Store::open(folder).await.unwrap();
+    let store = Store::open(folder, &location(folder)).await.unwrap();
     let limits =
         LimitsConfig { retention: RetentionConfig { keep_answers_days: 30, ..RetentionConfig::default() }, ..LimitsConfig::default() };
     let service = Service::at_rest(store.clone(), limits.service_limits()).await.unwrap();

@@ -2,7 +2,7 @@
 
 use crate::archives::Scan;
 use crate::script::{Script, says};
-use crate::server::{Process, TestServer, ask, command, finished, problem};
+use crate::server::{Process, TestServer, ask, command, finished, in_database, problem};
 use crate::vlm::{config, six_lines};
 use camino::Utf8Path;
 use reqwest::{Method, StatusCode};
@@ -29,7 +29,10 @@ async fn holder(of: &Client, url: &str, new: NewKey) -> (Client, CreatedKey) {
 async fn the_first_key_opens_a_server_to_the_network() {
     let data = tempfile::tempdir().unwrap();
     let folder = Utf8Path::from_path(data.path()).unwrap();
-    let key = |args: &[&str]| Command::new(env!("CARGO_BIN_EXE_uniground")).arg("key").args(args).output().unwrap();
+    let key = |args: &[&str]| {
+        let mut program = Command::new(env!("CARGO_BIN_EXE_uniground"));
+        program.arg("key").args(args).envs(in_database(folder)).output().unwrap()
+    };
     let made = key(&["create", "boss", "--scope", "admin", "--data-dir", folder.as_str()]);
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
     let secret = String::from_utf8(made.stdout).unwrap().trim().to_owned();
@@ -55,7 +58,7 @@ async fn the_first_key_opens_a_server_to_the_network() {
     assert_eq!(problem(robot.scenes(1, None).await).detail, "this key was revoked");
     assert_eq!(problem(boss.revoke_key("018f0000-0000-7000-8000-000000000000").await).code, "key_not_found");
     let listed = key(&["list", "--data-dir", folder.as_str()]);
-    assert!(String::from_utf8_lossy(&listed.stderr).contains("another server uses this data folder"));
+    assert!(String::from_utf8_lossy(&listed.stderr).contains("another server uses this data"));
     assert_eq!(process.terminate(), Some(0));
     let listed = String::from_utf8(key(&["list", "--data-dir", folder.as_str()]).stdout).unwrap();
     assert!(listed.contains("boss") && listed.contains("revoked"), "{listed}");

@@ -15,6 +15,7 @@ mod care;
 mod chat_models;
 mod conventions;
 mod corrections;
+mod databases;
 mod evaluation;
 mod export;
 mod graph;

@@ -1,14 +1,13 @@
 //! Uploads in parts, in the words of tus 1.0: what is there stays there, whatever becomes of the sender or the server.
 
 use crate::archives::Scan;
-use crate::server::{Process, TestServer, command, finished, problem};
+use crate::server::{self, Process, TestServer, command, finished, location, problem};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use camino::Utf8Path;
 use reqwest::{Method, Response, StatusCode};
 use sha1::Sha1;
 use sha2::{Digest, Sha256};
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{AssertSqlSafe, Connection};
 use std::fs;
 use std::time::Duration;
@@ -109,8 +108,7 @@ async fn until_offset(client: &Client, upload: &str, wanted: usize) {
 }
 
 async fn rows(data: &Utf8Path, sql: &str) {
-    let options = SqliteConnectOptions::new().filename(data.join("uniground.sqlite"));
-    let mut rows = SqliteConnection::connect_with(&options).await.unwrap();
+    let mut rows = server::rows(data).await;
     sqlx::query(AssertSqlSafe(sql.to_owned())).execute(&mut rows).await.unwrap();
     rows.close().await.unwrap();
 }
@@ -330,7 +328,7 @@ async fn an_upload_that_nobody_goes_on_with_is_removed_and_counted() {
     assert_eq!(problem(server.client.bytes(&old).await).code, "upload_expired");
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
-    let store = Store::open(folder).await.unwrap();
+    let store = Store::open(folder, &location(folder)).await.unwrap();
     let service = Service::at_rest(store.clone(), LimitsConfig::default().service_limits()).await.unwrap();
     let removed = service.let_go(Beside::Nobody).await.unwrap();
     let removed = removed.iter().find(|removed| removed.kind == "uploads in parts").unwrap();

@@ -2,16 +2,65 @@
 
 use camino::{Utf8Path, Utf8PathBuf};
 use reqwest::Method;
+use sqlx::{AnyConnection, Connection};
 use std::fs::File;
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use uniground::app::{self, RunningService};
-use uniground::config::{AccessConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig, VlmConfig, WebhookConfig};
+use uniground::config::{
+    AccessConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig, VlmConfig, WebhookConfig,
+};
+use uniground::store::Location;
 use uniground_client::{Client, ClientError};
 use uniground_types::job::Job;
 use uniground_types::problem::Problem;
 use uniground_types::question::GroundRequest;
 use uniground_types::scenes::Scene;
+
+/// Where the rows of a server on a data folder are kept: in the folder itself; or, where `UNIGROUND_TEST_POSTGRES` says which server
+/// (`postgres://USER@HOST:PORT`), in a database of PostgreSQL's that is the folder's own.
+pub fn location(data: &Utf8Path) -> Location {
+    let Ok(server) = std::env::var("UNIGROUND_TEST_POSTGRES") else { return Location::Folder };
+    let name: String = data.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
+    let name = &name[name.len().saturating_sub(60)..];
+    let made = Command::new("createdb")
+        .args(["--maintenance-db", &format!("{server}/postgres"), name])
+        .output()
+        .unwrap();
+    let told = String::from_utf8_lossy(&made.stderr);
+    assert!(made.status.success() || told.contains("already exists"), "{told}");
+    format!("{server}/{name}").parse().unwrap()
+}
+
+/// What tells a program of that place.
+pub fn in_database(data: &Utf8Path) -> [(&'static str, String); 1] {
+    let place = match location(data) {
+        Location::Postgres(url) => url.with_password().to_owned(),
+        _ => "sqlite".to_owned(),
+    };
+    [("UNIGROUND_DATABASE", place)]
+}
+
+/// The rows of a stopped or running server.
+pub async fn rows(data: &Utf8Path) -> AnyConnection {
+    sqlx::any::install_default_drivers();
+    let url = match location(data) {
+        Location::Postgres(url) => url.with_password().to_owned(),
+        _ => format!("sqlite:{}", data.join("uniground.sqlite")),
+    };
+    AnyConnection::connect(&url).await.unwrap()
+}
+
+/// The same, where a row may be written that refers to nothing.
+pub async fn loose_rows(data: &Utf8Path) -> AnyConnection {
+    let mut rows = rows(data).await;
+    let loosen = match location(data) {
+        Location::Postgres(_) => "SET session_replication_role = replica",
+        _ => "PRAGMA foreign_keys = OFF",
+    };
+    sqlx::query(loosen).execute(&mut rows).await.unwrap();
+    rows
+}
 
 /// A running server with a fresh data folder.
 pub struct TestServer {
@@ -35,9 +84,11 @@ impl TestServer {
 
     /// A server on a data folder that may have been another server's.
     pub async fn start_on(data: tempfile::TempDir, limits: LimitsConfig, vlm: VlmConfig, models: ModelsConfig) -> Self {
+        let data_dir = Utf8PathBuf::try_from(data.path().to_owned()).unwrap();
         let config = ServeConfig {
             listen: "127.0.0.1:0".parse().unwrap(),
-            data_dir: Utf8PathBuf::try_from(data.path().to_owned()).unwrap(),
+            database: DatabaseConfig { location: location(&data_dir) },
+            data_dir,
             access: AccessConfig::default(),
             models,
             fetch_models: false,
@@ -169,6 +220,7 @@ pub fn command(data: &Utf8Path, listen: &str) -> Command {
         .args(["serve", "--listen", listen, "--data-dir", data.as_str()])
         .env_remove("UNIGROUND_API_KEY")
         // Whatever lies in the folder it runs in; a test that wants models says so.
-        .envs([("UNIGROUND_MASKS", "builtin"), ("UNIGROUND_ENCODER", "builtin")]);
+        .envs([("UNIGROUND_MASKS", "builtin"), ("UNIGROUND_ENCODER", "builtin")])
+        .envs(in_database(data));
     command
 }

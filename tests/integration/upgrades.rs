@@ -9,7 +9,7 @@ use sqlx::{AssertSqlSafe, Connection, SqlSafeStr};
 use std::fs;
 use std::process::Command;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
-use uniground::store::Store;
+use uniground::store::{Location, Store};
 use uniground_client::Client;
 use uniground_types::answer::{Answer, Status};
 use uniground_types::batch::{BatchResult, BatchState};
@@ -124,7 +124,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
 
 /// Every schema there was: its version, and the migration that made it of the one before.
 fn migrations() -> Vec<(i64, String)> {
-    let folder = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("migrations");
+    let folder = Utf8Path::new(env!("CARGO_MANIFEST_DIR")).join("migrations/sqlite");
     let files = folder.read_dir_utf8().unwrap().map(|file| file.unwrap().into_path());
     let mut migrations: Vec<_> = files
         .map(|file| (file.file_name().unwrap()[..4].parse().unwrap(), fs::read_to_string(&file).unwrap()))
@@ -291,7 +291,7 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
         }
         let data = server.give_back().await;
         let folder = Utf8Path::from_path(data.path()).unwrap();
-        let store = Store::open(folder).await.unwrap();
+        let store = Store::open(folder, &Location::Folder).await.unwrap();
         // What was put aside for calls that a server did not live to see is spent.
         let spent = [(2, 0.5), (4, 0.25)]
             .into_iter()

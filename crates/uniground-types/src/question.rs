@@ -346,6 +346,9 @@ pub(crate) fn check_query(query: &str) -> Result<(), FieldError> {
     if characters > MAX_QUERY_CHARS {
         return Err(FieldError::new("/query", format!("has {characters} characters, at most {MAX_QUERY_CHARS} are read")));
     }
+    if query.contains('\0') {
+        return Err(FieldError::new("/query", "holds a NUL character, which no text has"));
+    }
     Ok(())
 }
 

@@ -1,6 +1,6 @@
 use super::*;
 use crate::service::Limits;
-use crate::store::Store;
+use crate::store::{Location, Store};
 use bytes::Bytes;
 use camino::Utf8Path;
 use futures::stream;
@@ -24,7 +24,7 @@ struct Rested {
 
 impl Rested {
     async fn over(data: TempDir) -> Self {
-        let store = Store::open(Utf8Path::from_path(data.path()).unwrap()).await.unwrap();
+        let store = Store::open(Utf8Path::from_path(data.path()).unwrap(), &Location::Folder).await.unwrap();
         let limits = Limits {
             max_upload_bytes: 1 << 30,
             max_unfinished_uploads: 10,

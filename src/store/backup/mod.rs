@@ -22,6 +22,7 @@ pub use sink::Target;
 use super::StoreError;
 use super::blobs::Blobs;
 use super::data_folder::DataFolder;
+use super::database::Engine;
 use camino::{Utf8Path, Utf8PathBuf};
 use manifest::{Kept, LeftOut, Manifest};
 use reading::Unsound;
@@ -106,7 +107,10 @@ struct Progress {
 pub async fn back_up(data_dir: &Utf8Path, target: Target) -> Result<BackedUp, BackupError> {
     let (path, opened) = (data_dir.to_owned(), target);
     let opening = spawn_blocking(move || {
-        let id = DataFolder::identity(&path)?;
+        let (id, engine) = DataFolder::identity(&path)?;
+        if engine != Engine::Sqlite {
+            return Err(StoreError::OnlyOfSqlite { kept_in: engine.name() }.into());
+        }
         Ok::<_, BackupError>((id, Sink::open(opened, &path)?))
     });
     let (id, mut sink) = opening.await.map_err(io::Error::other)??;

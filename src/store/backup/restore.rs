@@ -7,6 +7,7 @@ use super::sink::copy_folder;
 use super::snapshot::rename_folder;
 use crate::store::blobs::checksums::sync_everything;
 use crate::store::data_folder::{DATABASE, LOCK, is_harmless, mark};
+use crate::store::database::Engine;
 use crate::store::{MIGRATIONS, StoreError};
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use sha2::{Digest, Sha256};
@@ -173,7 +174,7 @@ impl Place {
         for part in ["blobs", DATABASE] {
             fs::rename(new.join(part), self.data_dir.join(part))?;
         }
-        mark(&self.data_dir, id)
+        mark(&self.data_dir, id, Engine::Sqlite)
     }
 }
 

@@ -2,10 +2,11 @@
 
 use super::{QUERY, builtin, by, config, corrections, six_lines, start};
 use crate::script::{Script, Scripted, fails, says};
-use crate::server::{TestServer, ask, problem};
+use crate::server::{TestServer, ask, problem, rows};
+use camino::Utf8Path;
+use jiff::Timestamp;
 use serde_json::json;
 use sqlx::Connection;
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use std::collections::BTreeSet;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
 use uniground_types::many::ManyGroundRequest;
@@ -111,8 +112,7 @@ async fn what_may_be_billed_counts_and_outlives_the_server() {
         VlmConfig { vlm_prompt_usd: 1000.0, vlm_completion_usd: 5000.0, vlm_daily_usd: Some(100.0), vlm_attempts: 2, ..config(&url) };
     let (server, scene) = start(dear.clone()).await;
     let spent = async |server: &TestServer| {
-        let options = SqliteConnectOptions::new().filename(server.data().join("uniground.sqlite"));
-        let mut database = SqliteConnection::connect_with(&options).await.unwrap();
+        let mut database = rows(server.data()).await;
         let usd: Option<f64> = sqlx::query_scalar("SELECT sum(usd) FROM spending").fetch_one(&mut database).await.unwrap();
         let open: i64 = sqlx::query_scalar("SELECT count(*) FROM reservations").fetch_one(&mut database).await.unwrap();
         (usd.unwrap_or(0.0), open)
@@ -133,10 +133,11 @@ async fn what_may_be_billed_counts_and_outlives_the_server() {
     assert!(spent(&server).await.0 > usd + 0.5);
 
     let data = server.give_back().await;
-    let options = SqliteConnectOptions::new().filename(data.path().join("uniground.sqlite"));
-    let mut database = SqliteConnection::connect_with(&options).await.unwrap();
+    let mut database = rows(Utf8Path::from_path(data.path()).unwrap()).await;
     // What a server leaves that is killed in the middle of a dear call.
-    sqlx::query("INSERT INTO reservations (id, day, usd) VALUES ('killed', date('now'), 99.0)")
+    let today = &Timestamp::now().to_string()[..10];
+    sqlx::query("INSERT INTO reservations (id, day, usd) VALUES ('killed', $1, 99.0)")
+        .bind(today)
         .execute(&mut database)
         .await
         .unwrap();

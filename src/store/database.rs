@@ -1,0 +1,303 @@
+//! The database: SQLite's file in the data folder, or PostgreSQL. The same statements run on both; what only one of them understands is a
+//! method of [`Engine`] here, and the two schemas are in `migrations/`.
+
+use super::StoreError;
+use camino::Utf8Path;
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
+use serde::{Deserialize, Serialize};
+use sqlx::any::{AnyConnectOptions, AnyPoolOptions, install_default_drivers};
+use sqlx::{AnyPool, Executor};
+use std::convert::Infallible;
+use std::fmt::{self, Write};
+use std::str::FromStr;
+use std::time::Duration;
+
+/// Where a database is.
+#[derive(Clone, PartialEq, Eq)]
+pub enum Location {
+    /// In the data folder.
+    Folder,
+    Postgres(PostgresUrl),
+    /// Of a kind that is not known; what was said may hold a password and is not kept.
+    Unknown {
+        scheme: String,
+    },
+}
+
+/// `postgres://…`; what it prints as has no password.
+#[derive(Clone, PartialEq, Eq)]
+pub struct PostgresUrl(String);
+
+impl PostgresUrl {
+    /// As it was said.
+    #[must_use]
+    pub fn with_password(&self) -> &str {
+        &self.0
+    }
+}
+
+impl FromStr for Location {
+    type Err = Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Infallible> {
+        Ok(match text.split_once("://") {
+            Some(("postgres" | "postgresql", _)) => Self::Postgres(PostgresUrl(text.to_owned())),
+            None if text == "sqlite" => Self::Folder,
+            other => Self::Unknown { scheme: other.map_or("?", |(scheme, _)| scheme).to_owned() },
+        })
+    }
+}
+
+impl Location {
+    pub(super) fn engine(&self) -> Result<Engine, StoreError> {
+        match self {
+            Self::Folder => Ok(Engine::Sqlite),
+            Self::Postgres(_) => Ok(Engine::Postgres),
+            Self::Unknown { scheme } => Err(StoreError::UnknownDatabase { scheme: scheme.clone() }),
+        }
+    }
+}
+
+impl fmt::Display for Location {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Folder => to.write_str("sqlite"),
+            Self::Postgres(url) => url.fmt(to),
+            Self::Unknown { scheme } => write!(to, "{scheme}://"),
+        }
+    }
+}
+
+impl fmt::Debug for Location {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        fmt::Display::fmt(self, to)
+    }
+}
+
+impl fmt::Display for PostgresUrl {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let (scheme, rest) = self.0.split_once("://").unwrap_or(("postgres", &self.0));
+        let place = rest.rsplit_once('@').map_or(rest, |(_, place)| place);
+        write!(to, "{scheme}://{}", place.split('?').next().unwrap_or_default())
+    }
+}
+
+/// Which of the two it is.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub(super) enum Engine {
+    #[default]
+    Sqlite,
+    Postgres,
+}
+
+/// How long SQLite waits for a lock that somebody else holds.
+const BUSY_TIMEOUT: Duration = Duration::from_secs(1);
+/// How long a write waits for its turn, and anything for PostgreSQL. SQLite's own wait for a lock is shorter.
+const TURN: Duration = Duration::from_secs(2);
+/// How long a read of a file waits for its turn.
+const READERS_TURN: Duration = Duration::from_secs(30);
+/// No statement of PostgreSQL's takes longer.
+const STATEMENT_TIMEOUT: Duration = Duration::from_secs(30);
+const READERS: u32 = 4;
+/// Connections to PostgreSQL that write at once; of transactions there is one at a time.
+const WRITERS: u32 = 8;
+/// What a path may have in a URL as it is.
+const IN_PATH: &AsciiSet = &NON_ALPHANUMERIC.remove(b'/').remove(b'.').remove(b'-').remove(b'_').remove(b'~');
+
+/// Connections that read, and connections that write.
+pub(super) struct Connections {
+    pub engine: Engine,
+    pub reader: AnyPool,
+    pub writer: AnyPool,
+}
+
+impl Connections {
+    /// Opens a file of SQLite's, which is made where it is not there.
+    pub async fn to_file(file: &Utf8Path) -> Result<Self, StoreError> {
+        install_default_drivers();
+        // A URL would take ".." away without looking what is a link.
+        let folder = file.parent().unwrap_or(file).canonicalize_utf8()?;
+        let file = folder.join(file.file_name().unwrap_or_default());
+        let url = format!("sqlite:{}", utf8_percent_encode(file.as_str(), IN_PATH));
+        let options = |mode: &str| AnyConnectOptions::from_str(&format!("{url}?mode={mode}"));
+        // What a caller was told is stored is on the disk.
+        let settings = format!("PRAGMA busy_timeout = {}; PRAGMA journal_mode = WAL; PRAGMA synchronous = FULL", BUSY_TIMEOUT.as_millis());
+        let writer = pool(1, TURN, settings).connect_with(options("rwc")?).await?;
+        let settings = format!("PRAGMA busy_timeout = {}", BUSY_TIMEOUT.as_millis());
+        let reader = pool(READERS, READERS_TURN, settings).connect_lazy_with(options("ro")?);
+        Ok(Self { engine: Engine::Sqlite, reader, writer })
+    }
+
+    /// Opens a database of a PostgreSQL server; it has to be there.
+    pub async fn to_server(url: &PostgresUrl) -> Result<Self, StoreError> {
+        install_default_drivers();
+        let options = AnyConnectOptions::from_str(url.with_password())?;
+        let settings = format!("SET statement_timeout = {}; SET client_min_messages = warning", STATEMENT_TIMEOUT.as_millis());
+        let writer = pool(WRITERS, TURN, settings.clone()).connect_with(options.clone()).await?;
+        let reader = pool(READERS, TURN, settings).connect_lazy_with(options);
+        Ok(Self { engine: Engine::Postgres, reader, writer })
+    }
+}
+
+fn pool(most: u32, turn: Duration, settings: String) -> AnyPoolOptions {
+    AnyPoolOptions::new()
+        .max_connections(most)
+        .acquire_timeout(turn)
+        .after_connect(move |connection, _| {
+            let settings = settings.clone();
+            Box::pin(async move { connection.execute(sqlx::AssertSqlSafe(settings)).await.map(drop) })
+        })
+}
+
+impl Engine {
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Sqlite => "SQLite",
+            Self::Postgres => "PostgreSQL",
+        }
+    }
+
+    /// Begins a transaction that writes and that nobody else writes beside, whoever else uses the database.
+    pub const fn begin(self) -> &'static str {
+        match self {
+            Self::Sqlite => "BEGIN IMMEDIATE",
+            // The number is ours alone in this database; the lock goes with the transaction.
+            Self::Postgres => "BEGIN; SELECT pg_advisory_xact_lock(7313052)",
+        }
+    }
+
+    /// A join that begins with its left side, whatever the planner thinks.
+    pub const fn in_this_order(self) -> &'static str {
+        match self {
+            Self::Sqlite => "CROSS JOIN",
+            Self::Postgres => "JOIN",
+        }
+    }
+
+    /// The condition that a field of a column's JSON is there.
+    pub fn has_field(self, column: &str, field: &str) -> String {
+        match self {
+            Self::Sqlite => format!("json_extract({column}, '$.{field}') IS NOT NULL"),
+            Self::Postgres => format!("{column}::json ->> '{field}' IS NOT NULL"),
+        }
+    }
+
+    /// A number in a column's JSON, 0 where it is not there.
+    pub fn number_in(self, column: &str, field: &str) -> String {
+        match self {
+            Self::Sqlite => format!("coalesce(json_extract({column}, '$.{field}'), 0)"),
+            Self::Postgres => format!("coalesce(({column}::json ->> '{field}')::bigint, 0)"),
+        }
+    }
+
+    /// Rows of one column, `value`, from a JSON list of texts.
+    pub fn values_of(self, list: &str) -> String {
+        match self {
+            Self::Sqlite => format!("(SELECT value FROM json_each({list}))"),
+            Self::Postgres => format!("(SELECT value FROM json_array_elements_text({list}::json) AS texts (value))"),
+        }
+    }
+
+    /// The condition that a column's JSON object of texts has all that another has.
+    pub fn contains(self, column: &str, other: &str) -> String {
+        match self {
+            Self::Sqlite => format!(
+                "NOT EXISTS (SELECT 1 FROM json_each({other}) AS wanted WHERE NOT EXISTS (
+                     SELECT 1 FROM json_each({column}) AS has WHERE has.key = wanted.key AND has.value = wanted.value))"
+            ),
+            Self::Postgres => format!("{column}::jsonb @> {other}::jsonb"),
+        }
+    }
+
+    /// What lets every end of a job be noted among the announcements, as one with the end itself.
+    pub const fn note_ends(self) -> &'static [&'static str] {
+        match self {
+            Self::Sqlite => &["CREATE TRIGGER IF NOT EXISTS jobs_that_end AFTER UPDATE OF state ON jobs
+                 WHEN NEW.state IN ('succeeded', 'failed', 'cancelled') AND OLD.state NOT IN ('succeeded', 'failed', 'cancelled')
+                 BEGIN INSERT OR IGNORE INTO announcements (job_id) VALUES (NEW.id); END"],
+            Self::Postgres => &[
+                "CREATE OR REPLACE FUNCTION note_end() RETURNS trigger LANGUAGE plpgsql AS
+                 'BEGIN INSERT INTO announcements (job_id) VALUES (NEW.id) ON CONFLICT DO NOTHING; RETURN NULL; END'",
+                "CREATE OR REPLACE TRIGGER jobs_that_end AFTER UPDATE OF state ON jobs FOR EACH ROW
+                 WHEN (NEW.state IN ('succeeded', 'failed', 'cancelled') AND OLD.state NOT IN ('succeeded', 'failed', 'cancelled'))
+                 EXECUTE FUNCTION note_end()",
+            ],
+        }
+    }
+
+    /// What undoes [`note_ends`](Self::note_ends).
+    pub const fn note_no_ends(self) -> &'static str {
+        match self {
+            Self::Sqlite => "DROP TRIGGER IF EXISTS jobs_that_end",
+            Self::Postgres => "DROP TRIGGER IF EXISTS jobs_that_end ON jobs",
+        }
+    }
+
+    /// What gives the room of removed rows back to the disk; PostgreSQL does that by itself.
+    pub const fn compact(self) -> &'static [&'static str] {
+        match self {
+            Self::Sqlite => &["VACUUM", "PRAGMA wal_checkpoint(TRUNCATE)"],
+            Self::Postgres => &[],
+        }
+    }
+}
+
+/// Conditions that are told one by one, with the texts they compare with.
+pub(super) struct Conditions {
+    pub sql: String,
+    values: Vec<String>,
+}
+
+impl Conditions {
+    /// Behind `sql`, which ends in a condition.
+    pub fn behind(sql: impl Into<String>) -> Self {
+        Self { sql: sql.into(), values: Vec::new() }
+    }
+
+    /// Adds a condition like `id <`, where there is a value.
+    pub fn and(&mut self, condition: &str, value: Option<impl Into<String>>) {
+        if let Some(value) = value {
+            self.values.push(value.into());
+            let _ = write!(self.sql, " AND {condition} ${}", self.values.len());
+        }
+    }
+
+    /// The first rows in an order.
+    pub async fn first<R>(self, order: &str, limit: u32, pool: &AnyPool) -> Result<Vec<R>, StoreError>
+    where
+        R: for<'r> sqlx::FromRow<'r, sqlx::any::AnyRow> + Send + Unpin,
+    {
+        let sql = format!("{} ORDER BY {order} LIMIT ${}", self.sql, self.values.len() + 1);
+        let query = self.values.into_iter().fold(sqlx::query_as(sqlx::AssertSqlSafe(sql)), sqlx::query::QueryAs::bind);
+        Ok(query.bind(i64::from(limit)).fetch_all(pool).await?)
+    }
+}
+
+/// Text from elsewhere as every database takes it: PostgreSQL knows no NUL.
+pub(super) fn without_nul(text: &str) -> std::borrow::Cow<'_, str> {
+    if text.contains('\0') { text.replace('\0', "\u{fffd}").into() } else { text.into() }
+}
+
+/// A number that is never negative, as both databases keep it.
+pub(super) fn number<T: TryFrom<i64>>(kept: i64) -> sqlx::Result<T>
+where
+    T::Error: std::error::Error + Send + Sync + 'static,
+{
+    T::try_from(kept).map_err(|error| sqlx::Error::Decode(error.into()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_location_is_told_without_its_password() {
+        let told = |text: &str| text.parse::<Location>().map(|location| format!("{location} {location:?}")).unwrap();
+        let place = "postgres://db.example/rooms postgres://db.example/rooms";
+        assert_eq!(told("postgres://robot:s3cret@db.example/rooms?sslmode=require&password=s3cret"), place);
+        assert_eq!(told("postgres://robot:s3?cret@db.example/rooms"), place);
+        assert_eq!(told("postgress://robot:s3cret@db.example/rooms"), "postgress:// postgress://");
+        assert_eq!("sqlite".parse(), Ok(Location::Folder));
+    }
+}

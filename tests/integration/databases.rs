@@ -1,0 +1,83 @@
+//! Which database goes with which folder. That PostgreSQL works is shown by all other tests (`make test-postgres`).
+
+use crate::archives::Scan;
+use crate::server::{TestServer, ask, location, problem};
+use camino::Utf8Path;
+use reqwest::Method;
+use serde_json::Value;
+use std::process::{Command, Output};
+use uniground::store::Location;
+
+fn serve(data: &Utf8Path, database: &str) -> Output {
+    Command::new(env!("CARGO_BIN_EXE_uniground"))
+        .args(["serve", "--listen", "127.0.0.1:0", "--data-dir", data.as_str(), "--database", database])
+        .env_remove("UNIGROUND_API_KEY")
+        .output()
+        .unwrap()
+}
+
+#[tokio::test]
+async fn a_folder_keeps_its_database() {
+    let data = TestServer::start().await.give_back().await;
+    let data = Utf8Path::from_path(data.path()).unwrap();
+    let (own, other) = match location(data) {
+        Location::Postgres(_) => ("PostgreSQL", "sqlite"),
+        _ => ("SQLite", "postgres://robot@127.0.0.1:1/rooms"),
+    };
+    let refused = serve(data, other);
+    let told = String::from_utf8_lossy(&refused.stderr);
+    assert!(
+        !refused.status.success() && told.contains(&format!("its rows are kept in {own}: say so with --database")),
+        "{told}"
+    );
+}
+
+/// A server that is not there is named, without its password; the folder is free for another database.
+#[test]
+fn a_database_that_can_not_be_reached_is_told() {
+    let place = tempfile::tempdir().unwrap();
+    let data = Utf8Path::from_path(place.path()).unwrap();
+    let refused = serve(data, "postgres://robot:s3cret@127.0.0.1:1/rooms");
+    let told = String::from_utf8_lossy(&refused.stderr);
+    assert!(!refused.status.success() && told.contains("postgres://127.0.0.1:1/rooms"), "{told}");
+    assert!(!told.contains("s3cret"), "{told}");
+    assert!(!data.join("uniground-data.json").exists());
+    let refused = serve(data, "mysql://robot:s3cret@127.0.0.1/rooms");
+    let told = String::from_utf8_lossy(&refused.stderr);
+    assert!(told.contains("mysql:// is no database for this") && !told.contains("s3cret"), "{told}");
+}
+
+/// Whatever stands in a question, its answer is kept and found by its own status.
+#[tokio::test]
+async fn a_question_may_hold_any_character() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let odd = "the red sofa \"status\":\"no_match\" \u{1} \u{1f9f8}";
+    let answer = server.client.ground(&scene, &ask(odd)).await.unwrap();
+    let status = serde_json::to_value(answer.status).unwrap();
+    let path = format!("/v1/answers?status={}", status.as_str().unwrap());
+    let listed: Value = server.client.request(Method::GET, &path).send().await.unwrap().json().await.unwrap();
+    assert_eq!((&listed["answers"][0]["id"], &listed["answers"][0]["query"]), (&answer.id.into(), &odd.into()));
+    // But one: no text has it, and not every database could keep it.
+    assert_eq!(problem(server.client.ground(&scene, &ask("the \0 sofa")).await).status, 422);
+    for (address, expected) in
+        [("/v1/scenes/%00", 404), ("/v1/jobs/a%00b", 404), ("/v1/jobs?subject=%00", 422), ("/v1/scenes?labels=a=%00", 422)]
+    {
+        let told = server.client.request(Method::GET, address).send().await.unwrap();
+        assert_eq!(told.status().as_u16(), expected, "{address}");
+    }
+    server.stop().await;
+}
+
+/// A number that may be left out is kept when it is not, whoever came before.
+#[tokio::test]
+async fn what_may_be_left_out_is_kept_when_it_is_said() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    for max_cost_usd in [None, Some(1.5), None, Some(2.5)] {
+        let item = serde_json::json!({"scene_id": scene, "query": "the red sofa"});
+        let request = serde_json::from_value(serde_json::json!({"items": [item], "max_cost_usd": max_cost_usd})).unwrap();
+        server.client.create_batch(&request, None).await.unwrap();
+    }
+    server.stop().await;
+}
