@@ -43,7 +43,7 @@ impl FromStr for Location {
         Ok(match text.split_once("://") {
             Some(("postgres" | "postgresql", _)) => Self::Postgres(PostgresUrl(text.to_owned())),
             None if text == "sqlite" => Self::Folder,
-            other => Self::Unknown { scheme: other.map_or("?", |(scheme, _)| scheme).to_owned() },
+            other => Self::Unknown { scheme: other.map_or_else(|| "that".to_owned(), |(scheme, _)| format!("{scheme}://")) },
         })
     }
 }
@@ -63,7 +63,7 @@ impl fmt::Display for Location {
         match self {
             Self::Folder => to.write_str("sqlite"),
             Self::Postgres(url) => url.fmt(to),
-            Self::Unknown { scheme } => write!(to, "{scheme}://"),
+            Self::Unknown { scheme } => to.write_str(scheme),
         }
     }
 }
@@ -245,7 +245,7 @@ impl Engine {
 
 /// Conditions that are told one by one, with the texts they compare with.
 pub(super) struct Conditions {
-    pub sql: String,
+    sql: String,
     values: Vec<String>,
 }
 

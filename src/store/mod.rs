@@ -71,7 +71,7 @@ pub enum StoreError {
     Migration(#[from] sqlx::migrate::MigrateError),
     #[error("the blob folder failed")]
     Blobs(#[from] io::Error),
-    #[error("{scheme}:// is no database for this: \"sqlite\", the file in the data folder, or postgres://USER@HOST/DATABASE")]
+    #[error("{scheme} is no database for this: \"sqlite\", the file in the data folder, or postgres://USER@HOST/DATABASE")]
     UnknownDatabase { scheme: String },
     #[error("its rows are kept in {kept_in}: say so with --database (or UNIGROUND_DATABASE)")]
     OtherDatabase { kept_in: &'static str },

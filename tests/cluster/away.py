@@ -118,8 +118,9 @@ def outage(server, args):
     lines = urllib.request.urlopen(f"{server.url}/v1/batches/{batch}/results?format=jsonl", timeout=60).read().splitlines()
     ids = {json.loads(line)["answer"]["id"] for line in lines}
     check("and each has an answer of its own", len(lines) == len(ids) == ITEMS)
-    second = subprocess.run([args.program, "serve", "--listen", "127.0.0.1:0", "--data-dir", tempfile.mkdtemp(), "--database", args.database],
-                            capture_output=True, text=True, timeout=60, check=False)
+    with tempfile.TemporaryDirectory() as other:
+        command = [args.program, "serve", "--listen", "127.0.0.1:0", "--data-dir", other, "--database", args.database]
+        second = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     check("a second server is kept out, also after the outage", second.returncode != 0 and "another server uses this database" in second.stderr)
 
 

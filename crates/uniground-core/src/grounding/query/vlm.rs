@@ -47,7 +47,8 @@ fn schema() -> Value {
         "measure": {"type": "string", "enum": Measure::ALL.map(Measure::word)}, "rank": {"type": "integer", "minimum": 1},
     }});
     let phrase = json!({"type": "object", "additionalProperties": false, "required": ["noun"], "properties": {
-        "noun": {"type": "string"}, "could_be": {"type": "array", "items": {"type": "string"}, "maxItems": MAX_NOUNS}, "uses": {"type": "array", "items": {"type": "string"}}, "colours": names(colours()),
+        "noun": {"type": "string"}, "could_be": {"type": "array", "items": {"type": "string"}, "maxItems": MAX_NOUNS},
+        "uses": {"type": "array", "items": {"type": "string"}}, "colours": names(colours()),
         "not_colours": names(colours()), "traits": names(Trait::ALL.iter().map(|t| t.word()).collect()),
         "count": {"type": ["integer", "null"], "minimum": 0}, "with": phrases(), "without": phrases(),
         "relations": {"type": "array", "items": relation}, "superlative": superlative,
