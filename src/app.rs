@@ -1,13 +1,13 @@
 //! Composition root: configuration to parts to a running service to a clean stop. The only place that knows every part.
 
 use crate::chat::{ChatClient, ReplayCache};
-use crate::config::{ChosenModels, ServeConfig};
+use crate::config::{ChosenModels, Part, ServeConfig, Work};
 use crate::http::{self, AllowedHosts, App, EventStreams, Mcp, Origins};
 use crate::inference::Probe;
 use crate::jobs::{JobKind, Jobs};
 use crate::metrics::Metrics;
 use crate::service::{BatchJob, Keyring, NamingJob, ParseJob, Service, Vlm, VlmSettings};
-use crate::store::{Location, Store};
+use crate::store::{Location, News, Newsroom, Store};
 use anyhow::{Context, ensure};
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -29,14 +29,26 @@ pub struct RunningService {
     store: Store,
 }
 
-/// Starts everything.
+/// Starts everything, or what a server's role leaves of it.
 ///
 /// # Errors
 /// When the address, the data folder or the key can not be used.
 pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
+    start_part(config, &config.role.into()).await
+}
+
+/// Starts a part of everything; others over the same database do the rest.
+///
+/// # Errors
+/// As [`start`]; a part where the database is of one process.
+pub async fn start_part(config: &ServeConfig, part: &Part) -> anyhow::Result<RunningService> {
+    ensure!(
+        !part.needs_others() || matches!(config.database.location, Location::Postgres(_)),
+        "a process that does a part only needs others over the same database: say --database postgres://…, or let \"uniground serve\" do everything"
+    );
     let api_key = config.api_key()?;
     let webhook = config.webhook.webhook()?;
-    let store = Store::open(&config.data_dir, &config.database.location)
+    let store = Store::open_with(&config.data_dir, &config.database.location, config.database.lease())
         .await
         .with_context(|| match &config.database.location {
             Location::Folder => format!("the data folder {}", config.data_dir),
@@ -80,14 +92,23 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
 
     let shutdown = CancellationToken::new();
     service.note_announcements(webhook.as_ref()).await?;
-    jobs.refuse_unknown_kinds(&[ParseJob::NAME, NamingJob::NAME, BatchJob::NAME]).await?;
-    let lanes = vec![
-        start_lane(&jobs, ParseJob(service.clone()), &shutdown),
-        start_lane(&jobs, NamingJob(service.clone()), &shutdown),
-        start_lane(&jobs, BatchJob(service.clone()), &shutdown),
-    ];
+    // Beside others they may be of a newer version.
+    if store.came_alone() {
+        jobs.refuse_unknown_kinds(&Work::ALL.map(Work::kind)).await?;
+    }
+    let start = |work: &Work| match work {
+        Work::Parse => start_lane(&jobs, ParseJob(service.clone()), part.concurrency, &shutdown),
+        Work::Naming => start_lane(&jobs, NamingJob(service.clone()), part.concurrency, &shutdown),
+        Work::Batch => start_lane(&jobs, BatchJob(service.clone()), part.concurrency, &shutdown),
+    };
+    let lanes = part.works.iter().map(start).collect();
     tokio::spawn(keep_house(service.clone(), shutdown.clone()));
-    tokio::spawn(make_left_uploads(service.clone(), shutdown.clone()));
+    if part.serves {
+        tokio::spawn(make_left_uploads(service.clone(), shutdown.clone()));
+    }
+    if let Some(newsroom) = store.newsroom().await? {
+        tokio::spawn(heed_news(newsroom, jobs.clone(), service.keys.clone(), shutdown.clone()));
+    }
     if let Some(chat) = chat {
         tokio::spawn(look_for_model(chat, service.clone()));
     }
@@ -105,14 +126,40 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
         event_streams: EventStreams::beside(most),
         mcp: Mcp::over_http(service.clone(), shutdown.child_token()),
     };
-    let server = tokio::spawn(http::serve(listener, http::router(app), most, metrics, shutdown.clone()));
+    let router = if part.serves { http::router(app) } else { http::watched(app) };
+    let server = tokio::spawn(http::serve(listener, router, most, metrics, shutdown.clone()));
     Ok(RunningService { address, service, shutdown, server, lanes, store })
 }
 
 /// Gives a kind of job its lane.
-fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken) -> JoinHandle<()> {
+fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, at_once: Option<usize>, shutdown: &CancellationToken) -> JoinHandle<()> {
     let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
-    tokio::spawn(async move { jobs.run_lane(Arc::new(kind), shutdown).await })
+    tokio::spawn(async move { jobs.run_lane(Arc::new(kind), at_once.unwrap_or(K::CONCURRENCY), shutdown).await })
+}
+
+/// Does what other processes' doings ask for, as soon as they are known here.
+async fn heed_news(mut newsroom: Newsroom, jobs: Jobs, keys: Keyring, shutdown: CancellationToken) {
+    const TROUBLE: Duration = Duration::from_secs(2);
+    while let Some(news) = shutdown.run_until_cancelled(newsroom.next()).await {
+        let news = match news {
+            Ok(news) => news,
+            Err(error) => {
+                tracing::warn!(error = &error as &dyn std::error::Error, "news of other processes do not come in");
+                let _ = shutdown.run_until_cancelled(sleep(TROUBLE)).await;
+                News::Missed
+            }
+        };
+        match &news {
+            News::JobWaits { kind } => jobs.ring(Some(kind)),
+            News::KeysChanged => {}
+            News::Missed => jobs.ring(None),
+        }
+        if !matches!(news, News::JobWaits { .. })
+            && let Err(error) = keys.reload().await
+        {
+            tracing::warn!(error = &error as &dyn std::error::Error, "keys that others made or revoked can not be read");
+        }
+    }
 }
 
 /// Says at the start, and not with somebody's question, that the vision-language model's server is not there, or what it will not take.

@@ -3,12 +3,14 @@
 mod choice;
 mod database;
 mod models;
+mod part;
 mod registries;
 mod retention;
 
 pub use choice::ChosenModels;
 pub use database::DatabaseConfig;
 pub use models::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS, BundlesConfig, LIBRARY_FOLDER, ModelsConfig, RuntimeConfig};
+pub use part::{Part, Role, Work, WorkerConfig};
 pub use registries::registries;
 pub use retention::RetentionConfig;
 
@@ -47,6 +49,9 @@ pub struct ServeConfig {
     pub data_dir: Utf8PathBuf,
     #[command(flatten)]
     pub database: DatabaseConfig,
+    /// What this process does of the whole; with PostgreSQL others may do the rest
+    #[arg(long, env = "UNIGROUND_ROLE", value_enum, default_value_t, value_name = "ROLE")]
+    pub role: Role,
     #[command(flatten)]
     pub access: AccessConfig,
     #[command(flatten)]

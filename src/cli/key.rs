@@ -107,7 +107,7 @@ impl Keys {
     }
 
     async fn of_folder(folder: &Utf8Path, database: &DatabaseConfig) -> anyhow::Result<Self> {
-        let store = Store::open_as_it_is(folder, &database.location)
+        let store = Store::open_beside(folder, &database.location)
             .await
             .with_context(|| format!("the data folder {folder} (while its server runs, leave --data-dir out and ask the server)"))?;
         let keys = Keyring::open(store.clone(), None).await?;

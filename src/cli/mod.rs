@@ -31,8 +31,9 @@ mod serve;
 mod server;
 mod table;
 mod upload;
+mod worker;
 
-use crate::config::ServeConfig;
+use crate::config::{ServeConfig, WorkerConfig};
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
@@ -47,6 +48,8 @@ pub struct Cli {
 enum Command {
     /// Run the service
     Serve(Box<ServeConfig>),
+    /// Do jobs beside servers over the same PostgreSQL: parses, names, batches. Takes what serve takes
+    Worker(Box<WorkerConfig>),
     /// Show the whole job on the sample scene
     Demo(demo::DemoArgs),
     /// Ask one question: about a scan on the disk, without a server, or about a scene of a running one
@@ -101,6 +104,10 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
         Command::Serve(config) => {
             serve::fetch(config);
             asynchronous(serve::run(config))
+        }
+        Command::Worker(config) => {
+            serve::fetch(&config.serve);
+            asynchronous(worker::run(config))
         }
         Command::Demo(args) => asynchronous(demo::run(args)),
         Command::Ground(args) => asynchronous(ground::run(args)),

@@ -3,7 +3,7 @@
 use super::server::client;
 use crate::app::{self, RunningService};
 use crate::config::{
-    AccessConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig, VlmConfig, WebhookConfig,
+    AccessConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, Role, ServeConfig, VlmConfig, WebhookConfig,
 };
 use camino::Utf8PathBuf;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -23,6 +23,7 @@ impl Private {
             listen: SocketAddr::from((Ipv4Addr::LOCALHOST, 0)),
             data_dir,
             database: DatabaseConfig::default(),
+            role: Role::All,
             access: AccessConfig::default(),
             models,
             fetch_models: false,

@@ -1,7 +1,7 @@
 //! `uniground serve`: the service, until SIGTERM or Ctrl-C.
 
 use super::fetching::{fetch_all, wanted};
-use crate::app;
+use crate::app::{self, RunningService};
 use crate::config::{LIBRARY_FOLDER, ServeConfig};
 use crate::packages::Places;
 use crate::telemetry;
@@ -20,11 +20,16 @@ pub fn fetch(config: &ServeConfig) {
 }
 
 pub async fn run(config: &ServeConfig) -> anyhow::Result<()> {
+    until_stopped(config, app::start(config)).await
+}
+
+/// Runs what `start` starts until somebody stops it.
+pub async fn until_stopped(config: &ServeConfig, start: impl Future<Output = anyhow::Result<RunningService>>) -> anyhow::Result<()> {
     // Sends what is left when this ends.
     let _traces = telemetry::start(&config.log)?;
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
-    let mut running = app::start(config).await?;
+    let mut running = start.await?;
     println!("listening on http://{}", running.address);
     io::stdout().flush()?;
     tokio::select! {

@@ -1,6 +1,7 @@
 //! Where rows are kept.
 
-use crate::store::Location;
+use crate::store::{LEASE, Location};
+use std::time::Duration;
 
 /// Which database.
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
@@ -10,10 +11,22 @@ pub struct DatabaseConfig {
     /// ~/.pgpass)
     #[arg(long = "database", env = "UNIGROUND_DATABASE", hide_env_values = true, value_name = "DATABASE", default_value = "sqlite")]
     pub location: Location,
+    /// Seconds after which a process that was not seen is taken to be gone, and what it was at work on is given to others; the same for all.
+    /// Only with PostgreSQL
+    #[arg(long, env = "UNIGROUND_LEASE_S", default_value_t = LEASE.as_secs(), value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(10..=3600))]
+    pub lease_s: u64,
+}
+
+impl DatabaseConfig {
+    /// After which a process that was not seen is taken to be gone.
+    #[must_use]
+    pub fn lease(&self) -> Duration {
+        Duration::from_secs(self.lease_s)
+    }
 }
 
 impl Default for DatabaseConfig {
     fn default() -> Self {
-        Self { location: Location::Folder }
+        Self { location: Location::Folder, lease_s: LEASE.as_secs() }
     }
 }

@@ -208,13 +208,26 @@ pub fn router(app: App) -> Router {
     let description = SwaggerUi::new("/docs")
         .url("/openapi.json", openapi)
         .config(Config::default().validator_url("none"));
-    router
+    // Health, the description and the pages are open to everybody: the key protects scans and questions.
+    layered(app, router, Router::from(description).merge(page::router()))
+}
+
+/// Of a process that answers no questions: how it is, and what it counts.
+pub fn watched(app: App) -> Router {
+    let routes = OpenApiRouter::new()
+        .routes(routes!(stats::metrics))
+        .routes(routes!(health::healthz))
+        .routes(routes!(health::readyz));
+    layered(app, routes.into(), Router::new())
+}
+
+/// Routes with all that lies around them; `open` ones want no key.
+fn layered(app: App, routes: Router<App>, open: Router) -> Router {
+    routes
         .layer(middleware::from_fn(caching::mark))
         .layer(middleware::from_fn_with_state(app.clone(), auth::check))
         .with_state(app.clone())
-        // Health, the description and the pages are open to everybody: the key protects scans and questions.
-        .merge(description)
-        .merge(page::router())
+        .merge(open)
         .fallback(problem::no_such_route)
         .method_not_allowed_fallback(problem::method_not_allowed)
         .layer(app.origins.protection())

@@ -1,5 +1,6 @@
 //! What a kind of job is.
 
+use crate::store::Hold;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::time::Duration;
@@ -9,7 +10,7 @@ use uniground_core::progress::Progress;
 pub trait JobKind: Send + Sync + 'static {
     /// Stored with every job: it never changes.
     const NAME: &'static str;
-    /// Jobs of this kind that run at once.
+    /// Jobs of this kind that run at once in one process, where nobody says otherwise.
     const CONCURRENCY: usize;
     const RETRY: Retry;
     /// Stored as JSON; what a server of yesterday has written must still be read.
@@ -22,7 +23,7 @@ pub trait JobKind: Send + Sync + 'static {
 /// When a job is tried again.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Retry {
-    /// After how many ends of its server in a row, without getting further than before, a job that was running fails.
+    /// After how many ends of its process in a row, without getting further than before, a job that was running fails.
     pub interrupted: u32,
     /// How often in all a job is tried whose failure may pass.
     pub transient: u32,
@@ -32,7 +33,8 @@ pub struct Retry {
 
 /// What a job is run with.
 pub struct JobContext<P> {
-    pub id: String,
+    /// What is written down of it is written in this hold.
+    pub hold: Hold,
     pub payload: P,
     /// Progress sink and cancellation in one.
     pub progress: Progress,

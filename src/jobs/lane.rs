@@ -2,7 +2,7 @@
 
 use super::queue::{Pulse, Running};
 use super::{JobContext, JobFailure, JobKind, Jobs, Retry};
-use crate::store::{JobRow, JobState, Recovery, StoreError};
+use crate::store::{Hold, JobRow, JobState, Recovery, StoreError};
 use futures::future::join_all;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -25,19 +25,31 @@ const TAKEN_UP_AT_ONCE: u32 = 3;
 const WAIT_AFTER_INTERRUPTIONS: Duration = Duration::from_secs(30);
 
 impl Jobs {
-    /// Works on the jobs of one kind until `shutdown`, as many at once as the kind allows. Jobs running then are put back and go on after
-    /// the next start. No kind waits for another. Trouble with the database is logged, and tried again.
-    pub async fn run_lane<K: JobKind>(&self, kind: Arc<K>, shutdown: CancellationToken) {
+    /// Works on the jobs of one kind until `shutdown`, so many at once. Jobs running then are put back and go on after the next start, or
+    /// elsewhere; those that processes which are gone had in hands are taken up. No kind waits for another. Trouble with the database is
+    /// logged, and tried again.
+    pub async fn run_lane<K: JobKind>(&self, kind: Arc<K>, at_once: usize, shutdown: CancellationToken) {
         self.metrics.jobs.knows(K::NAME);
         let _at_work = AtWork::begin(self, K::NAME);
+        self.recover::<K>(&shutdown).await;
+        let recovering = async {
+            while shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await.is_some() {
+                self.recover::<K>(&shutdown).await;
+            }
+        };
+        let working = join_all((0..at_once.max(1)).map(|_| self.work(&kind, &shutdown)));
+        tokio::join!(recovering, working);
+    }
+
+    /// Takes up what processes that are gone had in hands, as soon as the store lets it.
+    async fn recover<K: JobKind>(&self, shutdown: &CancellationToken) {
         let recovery = Recovery { give_up_after: K::RETRY.interrupted, at_once: TAKEN_UP_AT_ONCE, wait: WAIT_AFTER_INTERRUPTIONS };
         while let Err(error) = self.store.recover_jobs(K::NAME, recovery).await {
-            tracing::error!(kind = K::NAME, error = &error as &dyn std::error::Error, "jobs of the last server can not be taken up yet");
+            tracing::error!(kind = K::NAME, error = &error as &dyn std::error::Error, "jobs left behind can not be taken up yet");
             if shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await.is_none() {
                 return;
             }
         }
-        join_all((0..K::CONCURRENCY.max(1)).map(|_| self.work(&kind, &shutdown))).await;
     }
 
     /// Fails what waits but is of no kind this server knows: jobs of a newer server, or of one with other parts.
@@ -48,7 +60,7 @@ impl Jobs {
         for (id, kind) in self.store.open_jobs().await? {
             if !known.contains(&kind.as_str()) {
                 let detail = format!("this server does not know jobs of the kind {kind:?}");
-                self.store.finish_job(&id, JobState::Failed, None, Some(("unknown_job_kind", &detail))).await?;
+                self.store.finish_open_job(&id, JobState::Failed, Some(("unknown_job_kind", &detail))).await?;
             }
         }
         Ok(())
@@ -84,13 +96,14 @@ impl Jobs {
 
     async fn run<K: JobKind>(&self, kind: &Arc<K>, job: JobRow, shutdown: &CancellationToken) -> Result<(), StoreError> {
         let JobRow { id, payload, attempts, failures, furthest, .. } = job.clone();
+        let hold = Hold::of(&job);
         let payload = match serde_json::from_str(&payload) {
             Ok(payload) => payload,
             Err(error) => {
                 let detail = format!("what this job was asked to do can not be read: {error}");
                 tracing::error!(%error, "a job's payload can not be read");
                 self.metrics.jobs.finished(K::NAME, JobState::Failed.word(), None);
-                return self.record(&id, &End::Failed { code: "internal".into(), detail }, shutdown).await;
+                return self.record(&hold, &End::Failed { code: "internal".into(), detail }, shutdown).await;
             }
         };
         let running = Running { pulse: Arc::default(), cancel: shutdown.child_token(), row: job.into() };
@@ -103,13 +116,13 @@ impl Jobs {
             Err(error) => {
                 tracing::error!(error = &error as &dyn std::error::Error, "a job can not be begun yet");
                 self.running().remove(&id);
-                return self.record(&id, &End::PutBack, shutdown).await;
+                return self.record(&hold, &End::PutBack, shutdown).await;
             }
         }
         let (beating, cancel) = (running.clone(), running.cancel.clone());
         let progress = Progress::new(move |stage, progress| beating.beat(Pulse { stage, progress }), move || cancel.is_cancelled());
         // A task of its own: a job that panics ends itself, not the lane.
-        let context = JobContext { id: id.clone(), payload, progress };
+        let context = JobContext { hold: hold.clone(), payload, progress };
         let work = {
             let kind = kind.clone();
             async move { kind.run(context).await }
@@ -124,8 +137,11 @@ impl Jobs {
                 result = &mut work => break result,
                 _ = saving.tick() => {
                     let Pulse { stage, progress } = running.pulse();
-                    if let Err(error) = self.store.save_job_progress(&id, stage, progress).await {
-                        tracing::warn!(error = &error as &dyn std::error::Error, "progress not saved");
+                    match self.store.save_job_progress(&hold, stage, progress).await {
+                        Ok(false) => {}
+                        // Wished elsewhere; or somebody else has it: what comes of it here counts for nothing.
+                        Ok(true) | Err(StoreError::NotHeld) => running.cancel.cancel(),
+                        Err(error) => tracing::warn!(error = &error as &dyn std::error::Error, "progress not saved"),
                     }
                 }
             }
@@ -152,7 +168,7 @@ impl Jobs {
         };
         // Whoever sees the job's end sees it counted.
         self.count(K::NAME, &end, start.elapsed());
-        let ended = self.record(&id, &end, shutdown).await;
+        let ended = self.record(&hold, &end, shutdown).await;
         self.running().remove(&id);
         ended
     }
@@ -169,9 +185,13 @@ impl Jobs {
     }
 
     /// Writes down a job's end: until the store takes it, or the server stops. A job whose end nobody knows would run for ever.
-    async fn record(&self, id: &str, end: &End, shutdown: &CancellationToken) -> Result<(), StoreError> {
+    async fn record(&self, hold: &Hold, end: &End, shutdown: &CancellationToken) -> Result<(), StoreError> {
         loop {
-            match self.try_to_record(id, end).await {
+            match self.try_to_record(hold, end).await {
+                Err(StoreError::NotHeld) => {
+                    tracing::warn!("the job is in other hands by now: how it ended here counts for nothing");
+                    return Ok(());
+                }
                 Err(error) if !shutdown.is_cancelled() => {
                     tracing::error!(error = &error as &dyn std::error::Error, "a job's end can not be recorded yet");
                     let _ = shutdown.run_until_cancelled(time::sleep(LOOK_EVERY)).await;
@@ -181,19 +201,19 @@ impl Jobs {
         }
     }
 
-    async fn try_to_record(&self, id: &str, end: &End) -> Result<(), StoreError> {
+    async fn try_to_record(&self, hold: &Hold, end: &End) -> Result<(), StoreError> {
         match end {
             End::Done(message) => {
                 tracing::info!(result = message, "job done");
-                self.store.finish_job(id, JobState::Succeeded, Some(message), None).await
+                self.store.finish_job(hold, JobState::Succeeded, Some(message), None).await
             }
-            End::PutBack => self.store.requeue_job(id).await,
-            End::Again { wait, failures, progress } => self.store.requeue_job_after(id, *wait, *failures, *progress).await,
+            End::PutBack => self.store.requeue_job(hold).await,
+            End::Again { wait, failures, progress } => self.store.requeue_job_after(hold, *wait, *failures, *progress).await,
             End::Cancelled => {
                 tracing::info!("job cancelled");
-                self.store.finish_job(id, JobState::Cancelled, None, None).await
+                self.store.finish_job(hold, JobState::Cancelled, None, None).await
             }
-            End::Failed { code, detail } => self.store.finish_job(id, JobState::Failed, None, Some((code, detail))).await,
+            End::Failed { code, detail } => self.store.finish_job(hold, JobState::Failed, None, Some((code, detail))).await,
         }
     }
 }
@@ -311,7 +331,7 @@ mod tests {
 
     fn lane<K: JobKind>(jobs: &Jobs, kind: K, shutdown: &CancellationToken) -> tokio::task::JoinHandle<()> {
         let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
-        tokio::spawn(async move { jobs.run_lane(Arc::new(kind), shutdown).await })
+        tokio::spawn(async move { jobs.run_lane(Arc::new(kind), K::CONCURRENCY, shutdown).await })
     }
 
     async fn until(jobs: &Jobs, id: &str, done: impl Fn(&Job) -> bool) -> Job {
@@ -386,8 +406,30 @@ mod tests {
         jobs.store.claim_job(Obedient::NAME).await.unwrap().unwrap();
         jobs.cancel(&id).await.unwrap();
         // The server dies here; the next one looks after its queue.
+        jobs.store.forget_all_members().await;
         jobs.store.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
         assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Cancelled);
+    }
+
+    /// What somebody has in hands nobody takes; who was forgotten writes nothing down any more.
+    #[tokio::test]
+    async fn a_job_has_one_holder() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = queue(&folder).await;
+        let id = submit(&jobs, "this").await;
+        let first = Hold::of(&jobs.store.claim_job(Obedient::NAME).await.unwrap().unwrap());
+        jobs.store.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
+        assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Running, "its holder is there");
+        jobs.store.forget_all_members().await;
+        jobs.store.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
+        assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Queued);
+        let not_held = |written: Result<(), StoreError>| assert!(matches!(written, Err(StoreError::NotHeld)), "{written:?}");
+        not_held(jobs.store.save_job_progress(&first, "stage", 0.5).await.map(drop));
+        not_held(jobs.store.finish_job(&first, JobState::Succeeded, Some("done twice"), None).await);
+        not_held(jobs.store.requeue_job(&first).await);
+        not_held(jobs.store.requeue_job_after(&first, Duration::ZERO, 1, 0.5).await);
+        let job = jobs.get(&id).await.unwrap();
+        assert_eq!((job.state, job.message), (JobState::Queued, None));
     }
 
     /// A host that is killed again and again is not the job's fault as long as the job gets on.
@@ -398,7 +440,8 @@ mod tests {
         let id = submit(&jobs, "this").await;
         let interrupted = async |progress| {
             let job = jobs.store.claim_job(Obedient::NAME).await.unwrap().unwrap();
-            jobs.store.save_job_progress(&job.id, "stage", progress).await.unwrap();
+            jobs.store.save_job_progress(&Hold::of(&job), "stage", progress).await.unwrap();
+            jobs.store.forget_all_members().await;
             jobs.store.recover_jobs(Obedient::NAME, RECOVERY).await.unwrap();
             jobs.get(&id).await.unwrap().state
         };
@@ -419,6 +462,7 @@ mod tests {
         for _ in 0..4 {
             assert_eq!(jobs.get(&id).await.unwrap().state, JobState::Queued);
             jobs.store.claim_job(Obedient::NAME).await.unwrap().unwrap();
+            jobs.store.forget_all_members().await;
             jobs.store.recover_jobs(Obedient::NAME, recovery).await.unwrap();
         }
         assert_eq!(jobs.get(&id).await.unwrap().error.unwrap().code, "interrupted");

@@ -1,7 +1,7 @@
 //! Long work in the background: durable queues, one for every kind, their workers, progress and cancellation. Knows no kind of job.
 //!
 //! A kind is a [`JobKind`]; [`service`](crate::service) defines them and `app` gives each its lane. A running job's progress is read from
-//! memory; its row is updated twice a second, so that a restarted server knows roughly where it was.
+//! memory; its row is updated twice a second, so that other processes, and the next one, know roughly where it is.
 
 mod followed;
 mod kind;
@@ -31,6 +31,7 @@ fn job_of(row: JobRow, now: Timestamp) -> Job {
         attempts,
         failures: _,
         furthest,
+        holder: _,
         message,
         error_code,
         error,

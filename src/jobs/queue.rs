@@ -194,6 +194,15 @@ impl Jobs {
         Ok(job)
     }
 
+    /// Another process has queued a job of a kind, or of any where nobody knows: lanes that wait for it look.
+    pub fn ring(&self, kind: Option<&str>) {
+        let bells = self.bells.lock().unwrap_or_else(PoisonError::into_inner);
+        bells
+            .iter()
+            .filter(|(of, _)| kind.is_none_or(|kind| kind == **of))
+            .for_each(|(_, bell)| bell.notify_one());
+    }
+
     /// Rings when a job of this kind was queued.
     pub(super) fn bell(&self, kind: &'static str) -> Arc<Notify> {
         self.bells.lock().unwrap_or_else(PoisonError::into_inner).entry(kind).or_default().clone()

@@ -3,7 +3,7 @@
 use super::{BatchJob, Service};
 use crate::error::Error;
 use crate::jobs::{Job, JobKind, JobsError};
-use crate::store::JobState;
+use crate::store::{JobState, Turn};
 use crate::webhook::{Webhook, WebhookError};
 use futures::future::join_all;
 use jiff::Timestamp;
@@ -46,19 +46,35 @@ struct Data {
 impl Service {
     /// Tells of every job that ends, until `shutdown`. What could not be told is told by the next server.
     pub async fn announce(self, webhook: Arc<Webhook>, shutdown: CancellationToken) {
+        let mut turn = None;
         while !shutdown.is_cancelled() {
-            match self.store.due_announcements(TOGETHER).await {
-                Ok(due) if !due.is_empty() => {
-                    let telling = due.into_iter().map(|(job_id, tried)| self.clone().tell(webhook.clone(), job_id, tried));
-                    let _ = shutdown.run_until_cancelled(join_all(telling)).await;
-                }
-                Ok(_) => drop(shutdown.run_until_cancelled(sleep(LOOK_EVERY)).await),
-                Err(error) => {
-                    tracing::warn!(error = &error as &dyn std::error::Error, "what is to be told can not be read");
-                    let _ = shutdown.run_until_cancelled(sleep(LOOK_EVERY)).await;
-                }
+            let told = self.announce_due(&webhook, &mut turn);
+            match shutdown.run_until_cancelled(told).await {
+                // There may be more.
+                Some(Ok(true)) => continue,
+                Some(Ok(false)) | None => {}
+                Some(Err(error)) => tracing::warn!(error = &error as &dyn std::error::Error, "what is to be told can not be read"),
             }
+            let _ = shutdown.run_until_cancelled(sleep(LOOK_EVERY)).await;
         }
+    }
+
+    /// Tells of some that ended, where it is this process's turn; whether there were any.
+    async fn announce_due(&self, webhook: &Arc<Webhook>, turn: &mut Option<Turn>) -> Result<bool, Error> {
+        // One process tells for all; another goes on when it is gone.
+        if let Some(ours) = turn.take() {
+            *turn = Some(ours).filter(Turn::is_ours);
+        }
+        if turn.is_none() {
+            *turn = self.announcing().await?;
+        }
+        if turn.is_none() {
+            return Ok(false);
+        }
+        let due = self.store.due_announcements(TOGETHER).await?;
+        let any = !due.is_empty();
+        join_all(due.into_iter().map(|(job_id, tried)| self.clone().tell(webhook.clone(), job_id, tried))).await;
+        Ok(any)
     }
 
     /// Has the ends of jobs noted from now on, where there is a webhook; without one nobody wants to be told, of what ended before either.
@@ -68,6 +84,8 @@ impl Service {
     pub async fn note_announcements(&self, webhook: Option<&Webhook>) -> Result<(), Error> {
         match webhook {
             Some(_) => self.store.note_announcements().await?,
+            // Others may want to be.
+            None if !self.store.came_alone() => {}
             None => self.store.note_no_announcements().await?,
         }
         Ok(())

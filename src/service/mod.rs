@@ -43,7 +43,6 @@ use crate::jobs::{JobFailure, Jobs};
 use crate::memory::Memory;
 use crate::metrics::Metrics;
 use crate::store::Store;
-use batches::Beginnings;
 use camino::Utf8PathBuf;
 use lately::Lately;
 use parses::ParseCache;
@@ -54,7 +53,6 @@ use std::time::Duration;
 use tokio::sync::{Mutex, OwnedSemaphorePermit, Semaphore};
 use tokio::task::spawn_blocking;
 use tokio::time::timeout;
-use turns::Turns;
 use uniground_core::background;
 use uniground_core::grounding::PictureCache;
 use uniground_core::ingest::archive::UnpackLimits;
@@ -62,7 +60,7 @@ use uniground_core::models::neural::{LoadedModel, Models};
 use uniground_core::models::with_causes;
 use uniground_core::progress::{Cancelled, Progress};
 use uniground_types::stats::Retention;
-use uploads::{AtWork, Telling, unexplained};
+use uploads::{Telling, unexplained};
 
 /// What uploads and questions may take.
 #[derive(Debug, Clone, Copy)]
@@ -93,8 +91,6 @@ pub struct Service {
     /// One for each scene of many that is looked into.
     glances: Arc<Semaphore>,
     uploads: Arc<Semaphore>,
-    /// Uploads in parts that somebody is at work on.
-    uploads_at_work: Arc<AtWork>,
     /// How a refused upload is told why.
     tell: Telling,
     /// Where parses compute: a pool of its own whose threads give way. Questions keep rayon's global pool.
@@ -102,18 +98,7 @@ pub struct Service {
     /// A vision-language model, where one is configured.
     vlm: Option<Arc<Vlm>>,
     models: Models,
-    /// Questions under idempotency keys being answered now.
-    being_answered: Arc<Turns>,
-    /// Batches being asked now.
-    asked_batches: Beginnings,
-    /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
-    content_references: Arc<Mutex<()>>,
-    /// Held while a scene takes a stored parse, or gets a job for another, so that neither the parse nor what the job goes on from is
-    /// removed meanwhile. Whoever removes holds both, this one last.
-    parse_references: Arc<Mutex<()>>,
-    /// At changing what is known of a parse, by its id.
-    correcting: Arc<Turns>,
-    /// Held while frames are laid beside a scene.
+    /// Held while frames are laid beside a scene: that is heavy.
     growing: Arc<Mutex<()>>,
     /// Held while something is drawn or made for who looks at a scene: questions have their own places.
     drawing: Arc<Mutex<()>>,
@@ -148,16 +133,10 @@ impl Service {
             questions: Arc::new(Semaphore::new(limits.max_concurrent_questions)),
             glances: Arc::new(Semaphore::new(MAX_GLANCES)),
             uploads: Arc::new(Semaphore::new(MAX_UPLOADS)),
-            uploads_at_work: Arc::default(),
             tell: unexplained,
             parsing: Arc::new(parsing),
             vlm: vlm.map(Arc::new),
             models,
-            being_answered: Arc::default(),
-            asked_batches: Beginnings::default(),
-            content_references: Arc::default(),
-            parse_references: Arc::default(),
-            correcting: Arc::default(),
             growing: Arc::default(),
             drawing: Arc::default(),
             import_root: None,

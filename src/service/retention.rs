@@ -163,7 +163,7 @@ impl Round<'_> {
             after.clone_from(&due.id);
             let removed = {
                 // Nobody takes it for a scene while it goes.
-                let _references = (service.content_references.lock().await, service.parse_references.lock().await);
+                let _references = (service.content_references().await?, service.parse_references().await?);
                 service.store.remove_due(Aged::SupersededParses, &before, &[&due.id]).await?
             };
             for id in &removed {
@@ -186,7 +186,7 @@ impl Round<'_> {
         }
         for hash in service.store.outgrown_contents(TOGETHER).await? {
             let folders = {
-                let _references = (service.content_references.lock().await, service.parse_references.lock().await);
+                let _references = (service.content_references().await?, service.parse_references().await?);
                 service.store.remove_outgrown(&hash).await?
             };
             gone.entries += u64::from(!folders.is_empty());
@@ -204,7 +204,7 @@ impl Round<'_> {
         let mut gone = Gone::default();
         for KeptCheckpoints { hash, bytes, .. } in too_many(kept, oldest, most) {
             // No parse of it begins between the look and the removal.
-            let _references = (self.service.content_references.lock().await, self.service.parse_references.lock().await);
+            let _references = (self.service.content_references().await?, self.service.parse_references().await?);
             if !self.service.store.contents_in_work().await?.contains(&hash) {
                 self.discard(vec![self.service.store.blobs.checkpoints(&hash)]).await?;
                 gone.entries += 1;

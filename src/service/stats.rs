@@ -112,7 +112,7 @@ impl Service {
         questions.computing.set(most.saturating_sub(self.questions.available_permits()) as i64);
         questions.uploads.set(MAX_UPLOADS.saturating_sub(self.uploads.available_permits()) as i64);
         let looks = [
-            ("parses", self.parses.loaded.looks()),
+            ("parses", self.parses.looks()),
             ("clouds", self.parses.render_scenes.looks()),
             ("files", self.parses.sound.looks()),
             ("pictures", self.pictures.looks()),

@@ -1,23 +1,52 @@
-//! Turns: one after the other where two at once would be in each other's way, and nobody else waits for it.
+//! Whose turn something is, among all processes that serve the same rooms.
 
-use std::collections::HashMap;
-use std::sync::{Arc, PoisonError, Weak};
-use tokio::sync::{Mutex, OwnedMutexGuard};
+use super::Service;
+use crate::error::Error;
+use crate::store::Turn;
 
-/// Who is at work on what, by its name: who comes for the same waits.
-#[derive(Default)]
-pub struct Turns(std::sync::Mutex<HashMap<String, Weak<Mutex<()>>>>);
+impl Service {
+    /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
+    pub(super) async fn content_references(&self) -> Result<Turn, Error> {
+        Ok(self.store.turn("contents").await?)
+    }
 
-impl Turns {
-    /// Waits for the turn at something; it lasts as long as what comes back.
-    pub async fn at(&self, name: &str) -> OwnedMutexGuard<()> {
-        let lock: Arc<Mutex<()>> = {
-            let mut locks = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-            locks.retain(|_, lock| lock.strong_count() > 0);
-            let lock = locks.get(name).and_then(Weak::upgrade).unwrap_or_default();
-            locks.insert(name.to_owned(), Arc::downgrade(&lock));
-            lock
-        };
-        lock.lock_owned().await
+    /// Held while a scene takes a stored parse, or gets a job for another, so that neither the parse nor what the job goes on from is
+    /// removed meanwhile. Whoever removes holds both, this one last.
+    pub(super) async fn parse_references(&self) -> Result<Turn, Error> {
+        Ok(self.store.turn("parses").await?)
+    }
+
+    /// At changing what is known of a parse.
+    pub(super) async fn correcting(&self, parse_id: &str) -> Result<Turn, Error> {
+        Ok(self.store.turn(&format!("parse {parse_id}")).await?)
+    }
+
+    /// At answering a question under its idempotency key.
+    pub(super) async fn answering(&self, key: &str) -> Result<Turn, Error> {
+        Ok(self.store.turn(&format!("question {key}")).await?)
+    }
+
+    /// Held while an upload in parts is begun: several at once must not come to more than may be unfinished.
+    pub(super) async fn beginning_uploads(&self) -> Result<Turn, Error> {
+        Ok(self.store.turn("uploads").await?)
+    }
+
+    /// At an upload in parts: bytes of two senders never mix.
+    ///
+    /// # Errors
+    /// [`Error::UploadBusy`]: somebody else is at it.
+    pub(super) async fn at_upload(&self, id: &str) -> Result<Turn, Error> {
+        let turn = self.store.try_turn(&format!("upload {id}")).await?;
+        turn.ok_or_else(|| Error::UploadBusy { id: id.to_owned() })
+    }
+
+    /// At looking after everything; `None` while another process does.
+    pub(super) async fn keeping_house(&self) -> Result<Option<Turn>, Error> {
+        Ok(self.store.try_turn("house").await?)
+    }
+
+    /// At telling of jobs that end; `None` while another process does.
+    pub(super) async fn announcing(&self) -> Result<Option<Turn>, Error> {
+        Ok(self.store.try_turn("announcements").await?)
     }
 }

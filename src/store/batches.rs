@@ -1,7 +1,7 @@
 //! Batches and their items.
 
 use super::database::{number, without_nul};
-use super::{JobRow, NewJob, Store, StoreError, now};
+use super::{Hold, JobRow, NewJob, Store, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
 use std::collections::BTreeMap;
@@ -117,7 +117,8 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn insert_batch(&self, new: NewBatch<'_>) -> Result<String, StoreError> {
         let id = self.new_id();
-        let sql = "INSERT INTO batches (id, label, state, concurrency, max_cost_usd, key_id, created_at) VALUES ($1, $2, 'receiving', $3, $4, $5, $6)";
+        let sql = "INSERT INTO batches (id, label, state, concurrency, max_cost_usd, key_id, created_at, receiver)
+                   VALUES ($1, $2, 'receiving', $3, $4, $5, $6, $7)";
         // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that is.
         sqlx::query(sql)
             .persistent(false)
@@ -127,6 +128,7 @@ impl Store {
             .bind(new.max_cost_usd)
             .bind(new.key_id)
             .bind(now())
+            .bind(&*self.members.id())
             .execute(self.writer.pool())
             .await?;
         Ok(id)
@@ -208,12 +210,13 @@ impl Store {
         Ok(())
     }
 
-    /// Forgets batches whose submission a server did not live to see.
+    /// Forgets batches whose submission the process that received them did not live to see.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub(super) async fn forget_half_received_batches(&self) -> Result<(), StoreError> {
-        sqlx::query("DELETE FROM batches WHERE state = 'receiving'").execute(self.writer.pool()).await?;
+        let sql = "DELETE FROM batches WHERE state = 'receiving' AND (receiver IS NULL OR receiver NOT IN (SELECT id FROM members))";
+        sqlx::query(sql).execute(self.writer.pool()).await?;
         Ok(())
     }
 
@@ -267,13 +270,14 @@ impl Store {
         rows.iter().map(open).collect()
     }
 
-    /// Writes down what came of items, as one.
+    /// Writes down what came of items, as one, for whoever is at work on the batch.
     ///
     /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn close_batch_items(&self, id: &str, closed: &[ClosedItem]) -> Result<(), StoreError> {
+    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    pub async fn close_batch_items(&self, hold: &Hold, id: &str, closed: &[ClosedItem]) -> Result<(), StoreError> {
         let sql = "UPDATE batch_items SET status = $1, cost_usd = $2, error_code = $3, error = $4 WHERE batch_id = $5 AND item = $6";
         let mut tx = self.writer.begin().await?;
+        hold.check(&mut tx).await?;
         for ClosedItem { item, status, cost_usd, error } in closed {
             let (code, detail) = error.as_ref().map_or((None, None), |(code, detail)| (Some(code), Some(detail)));
             sqlx::query(sql)

@@ -2,7 +2,8 @@
 
 use super::blobs::Blobs;
 use super::data_folder::DataFolder;
-use super::database::Connections;
+use super::database::{Connections, Location};
+use super::members::{Company, LEASE, Membership};
 use super::{Store, StoreError};
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
@@ -37,7 +38,8 @@ impl Store {
             Ok::<_, StoreError>((folder, elsewhere, database))
         });
         let (folder, elsewhere, database) = copied.await.map_err(io::Error::other)??;
-        let store = Self::connect(Connections::to_file(&database).await?, folder, Blobs::look_only(data_dir)).await?;
+        let members = Membership::join(&Location::Folder, Company::None, LEASE).await?;
+        let store = Self::connect(Connections::to_file(&database).await?, folder, Blobs::look_only(data_dir), members).await?;
         Ok(Self { _copy: Some(Arc::<TempDir>::new(elsewhere)), ..store })
     }
 }

@@ -1,7 +1,7 @@
 //! What people say of parses that are wrong.
 
 use super::database::number;
-use super::parses::insert_instance;
+use super::parses::{insert_instance, note_change};
 use super::{Store, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
@@ -82,6 +82,7 @@ impl Store {
             .bind(&correction.created_at)
             .execute(&mut *tx)
             .await?;
+        note_change(&mut tx, parse_id).await?;
         tx.commit().await?;
         Ok(Some(correction))
     }
@@ -101,8 +102,12 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn undo_correction(&self, id: &str) -> Result<(), StoreError> {
-        let sql = "UPDATE corrections SET undone_at = $1 WHERE id = $2 AND undone_at IS NULL";
-        sqlx::query(sql).bind(now()).bind(id).execute(self.writer.pool()).await?;
-        Ok(())
+        let mut tx = self.writer.begin().await?;
+        let sql = "UPDATE corrections SET undone_at = $1 WHERE id = $2 AND undone_at IS NULL RETURNING parse_id";
+        let undone: Option<String> = sqlx::query_scalar(sql).bind(now()).bind(id).fetch_optional(&mut *tx).await?;
+        if let Some(parse_id) = undone {
+            note_change(&mut tx, &parse_id).await?;
+        }
+        tx.commit().await
     }
 }

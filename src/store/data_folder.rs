@@ -36,7 +36,8 @@ struct Marker {
     database: Engine,
 }
 
-/// A data folder that is ours alone as long as this lives: two servers over one would take each other's jobs and files.
+/// A data folder that is ours as long as this lives. With SQLite ours alone: two processes over one would take each other's jobs and files.
+/// With PostgreSQL, which tells its members apart, theirs together.
 #[derive(Debug, Clone)]
 pub(super) struct DataFolder {
     path: Utf8PathBuf,
@@ -75,11 +76,14 @@ impl DataFolder {
             return Err(StoreError::NotOurs { found: stranger.file_name().to_owned() });
         }
         let lock = File::create(path.join(LOCK))?;
-        match lock.try_lock() {
-            Ok(()) => {}
-            Err(TryLockError::WouldBlock) => return Err(StoreError::InUse),
-            Err(TryLockError::Error(error)) => return Err(error.into()),
-        }
+        let taken = |taken| match taken {
+            Ok(()) => Ok(()),
+            Err(TryLockError::WouldBlock) => Err(StoreError::InUse),
+            Err(TryLockError::Error(error)) => Err(error.into()),
+        };
+        let shared = engine == Engine::Postgres;
+        let is_marked = marker.exists();
+        taken(if shared && is_marked { lock.try_lock_shared() } else { lock.try_lock() })?;
         // Marked by who holds it: two that come at once mark it once.
         let id = match fs::read(&marker) {
             Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.id,
@@ -90,6 +94,10 @@ impl DataFolder {
             }
             Err(error) => return Err(error.into()),
         };
+        if shared && !is_marked {
+            lock.unlock()?;
+            taken(lock.try_lock_shared())?;
+        }
         let folder = Self { path: path.to_owned(), id, _lock: Some(Arc::new(lock)) };
         if let Err(error) = folder.keep_reserve() {
             tracing::warn!(%error, "no room for the reserve that deleting needs on a full disk");

@@ -167,6 +167,14 @@ impl Engine {
         }
     }
 
+    /// Seconds of Unix time by the database's own clock: those of its users may differ.
+    pub const fn clock(self) -> &'static str {
+        match self {
+            Self::Sqlite => "unixepoch('subsec')",
+            Self::Postgres => "extract(epoch FROM clock_timestamp())::float8",
+        }
+    }
+
     /// A join that begins with its left side, whatever the planner thinks.
     pub const fn in_this_order(self) -> &'static str {
         match self {

@@ -23,6 +23,8 @@ pub struct JobRow {
     pub failures: u32,
     /// How far an earlier attempt got.
     pub furthest: f64,
+    /// The member at work on it, while it is running.
+    pub holder: Option<String>,
     pub message: Option<String>,
     pub error_code: Option<String>,
     pub error: Option<String>,
@@ -44,6 +46,7 @@ impl FromRow<'_, AnyRow> for JobRow {
             attempts: row.try_get("attempts")?,
             failures: number(row.try_get("failures")?)?,
             furthest: row.try_get("furthest")?,
+            holder: row.try_get("holder")?,
             message: row.try_get("message")?,
             error_code: row.try_get("error_code")?,
             error: row.try_get("error")?,
@@ -56,6 +59,29 @@ impl FromRow<'_, AnyRow> for JobRow {
 
 fn state(word: String) -> sqlx::Result<JobState> {
     JobState::try_from(word).map_err(|error| sqlx::Error::Decode(error.into()))
+}
+
+/// A running job in somebody's hands. Whatever is written down of it says so: once it was given to somebody else, nothing is.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Hold {
+    pub job_id: String,
+    /// The member that took it.
+    holder: String,
+}
+
+impl Hold {
+    /// That of a job that was just taken.
+    #[must_use]
+    pub fn of(job: &JobRow) -> Self {
+        Self { job_id: job.id.clone(), holder: job.holder.clone().unwrap_or_default() }
+    }
+
+    /// Whether the job is still in these hands, as far as this transaction goes.
+    pub(super) async fn check(&self, tx: &mut AnyConnection) -> Result<(), StoreError> {
+        let sql = "SELECT count(*) FROM jobs WHERE id = $1 AND holder = $2 AND state = 'running'";
+        let held: i64 = sqlx::query_scalar(sql).bind(&self.job_id).bind(&self.holder).fetch_one(tx).await?;
+        if held > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
+    }
 }
 
 /// Which jobs are wanted; what is not said is any.
@@ -174,46 +200,74 @@ impl Store {
         // Looked for among the readers first: a queue that is empty writes nothing.
         let id: Option<String> = sqlx::query_scalar(due).bind(kind).bind(&time).bind(too_late).fetch_optional(&self.reader).await?;
         let Some(id) = id else { return Ok(None) };
-        let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = $1, stage = NULL, progress = 0
+        let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = $1, stage = NULL, progress = 0, holder = $3
                    WHERE id = $2 AND state = 'queued' RETURNING *";
-        Ok(sqlx::query_as(sql).bind(time).bind(id).fetch_optional(self.writer.pool()).await?)
+        let claim = sqlx::query_as(sql).bind(time).bind(id).bind(self.members.id().to_string());
+        Ok(claim.fetch_optional(self.writer.pool()).await?)
     }
 
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn save_job_progress(&self, id: &str, stage: &str, progress: f32) -> Result<(), StoreError> {
-        let sql = "UPDATE jobs SET stage = $1, progress = $2 WHERE id = $3 AND state = 'running'";
-        sqlx::query(sql).bind(stage).bind(progress).bind(id).execute(self.writer.pool()).await?;
-        Ok(())
-    }
-
-    /// Ends a job that is not over yet; what ended it first stays.
+    /// Notes how far a job is; whether somebody wants it to stop.
     ///
     /// # Errors
-    /// [`StoreError::Database`].
+    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    pub async fn save_job_progress(&self, hold: &Hold, stage: &str, progress: f32) -> Result<bool, StoreError> {
+        let sql =
+            "UPDATE jobs SET stage = $1, progress = $2 WHERE id = $3 AND holder = $4 AND state = 'running' RETURNING cancel_requested";
+        let save = sqlx::query_scalar(sql).bind(stage).bind(progress).bind(&hold.job_id).bind(&hold.holder);
+        let wished: i64 = save.fetch_optional(self.writer.pool()).await?.ok_or(StoreError::NotHeld)?;
+        Ok(wished != 0)
+    }
+
+    /// Ends a job that somebody has had in hands; what ended it first stays.
+    ///
+    /// # Errors
+    /// [`StoreError::NotHeld`], [`StoreError::Database`].
     pub async fn finish_job(
         &self,
-        id: &str,
+        hold: &Hold,
         state: JobState,
         message: Option<&str>,
         error: Option<(&str, &str)>,
     ) -> Result<(), StoreError> {
+        let ended = self.end_job(&hold.job_id, Some(&hold.holder), state, message, error).await?;
+        if ended { Ok(()) } else { Err(StoreError::NotHeld) }
+    }
+
+    /// Ends a job that is not over yet, whoever has it in hands.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn finish_open_job(&self, id: &str, state: JobState, error: Option<(&str, &str)>) -> Result<(), StoreError> {
+        self.end_job(id, None, state, None, error).await?;
+        Ok(())
+    }
+
+    /// Ends a job, in somebody's hands or in anybody's; whether it was there to end.
+    async fn end_job(
+        &self,
+        id: &str,
+        holder: Option<&str>,
+        state: JobState,
+        message: Option<&str>,
+        error: Option<(&str, &str)>,
+    ) -> Result<bool, StoreError> {
         let sql = "UPDATE jobs SET state = $1, message = $2, error_code = $3, error = $4, finished_at = $5,
                    progress = CASE WHEN $1 = 'succeeded' THEN 1.0 ELSE progress END,
                    stage = CASE WHEN $1 = 'succeeded' THEN NULL ELSE stage END
-                   WHERE id = $6 AND state IN ('queued', 'running')";
+                   WHERE id = $6 AND (state = 'running' AND holder = $7 OR $7 IS NULL AND state IN ('queued', 'running'))";
         let (code, detail) = error.unzip();
         let (message, detail) = (message.map(without_nul), detail.map(without_nul));
-        sqlx::query(sql)
+        let ended = sqlx::query(sql)
             .bind(state.word())
             .bind(message.as_deref())
             .bind(code)
             .bind(detail.as_deref())
             .bind(now())
             .bind(id)
+            .bind(holder)
             .execute(self.writer.pool())
             .await?;
-        Ok(())
+        Ok(ended.rows_affected() > 0)
     }
 
     /// Cancels a job that no worker has taken; `false` when one has.
@@ -234,32 +288,33 @@ impl Store {
         Ok(sqlx::query_scalar(sql).bind(subject).fetch_all(&self.reader).await?)
     }
 
-    /// Puts a running job back: the server stops, the next one goes on. A planned stop does not count as an attempt.
+    /// Puts a running job back: its process stops, another goes on. A planned stop does not count as an attempt.
     ///
     /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn requeue_job(&self, id: &str) -> Result<(), StoreError> {
+    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    pub async fn requeue_job(&self, hold: &Hold) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = 'queued', attempts = attempts - 1, started_at = NULL, stage = NULL, progress = 0
-                   WHERE id = $1 AND state = 'running'";
-        sqlx::query(sql).bind(id).execute(self.writer.pool()).await?;
-        Ok(())
+                   WHERE id = $1 AND holder = $2 AND state = 'running'";
+        let put_back = sqlx::query(sql).bind(&hold.job_id).bind(&hold.holder).execute(self.writer.pool()).await?;
+        if put_back.rows_affected() > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
     }
 
     /// Puts a running job back, to be tried again after a wait: it has failed so often in a row, and got so far.
     ///
     /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn requeue_job_after(&self, id: &str, wait: Duration, failures: u32, progress: f32) -> Result<(), StoreError> {
+    /// [`StoreError::NotHeld`], [`StoreError::Database`].
+    pub async fn requeue_job_after(&self, hold: &Hold, wait: Duration, failures: u32, progress: f32) -> Result<(), StoreError> {
         let sql = "UPDATE jobs SET state = 'queued', not_before = $1, failures = $2, furthest = CASE WHEN furthest < $3 THEN $3 ELSE furthest END,
-                   started_at = NULL, stage = NULL, progress = 0 WHERE id = $4 AND state = 'running'";
-        sqlx::query(sql)
+                   started_at = NULL, stage = NULL, progress = 0 WHERE id = $4 AND holder = $5 AND state = 'running'";
+        let put_back = sqlx::query(sql)
             .bind(after(wait))
             .bind(i64::from(failures))
             .bind(progress)
-            .bind(id)
+            .bind(&hold.job_id)
+            .bind(&hold.holder)
             .execute(self.writer.pool())
             .await?;
-        Ok(())
+        if put_back.rows_affected() > 0 { Ok(()) } else { Err(StoreError::NotHeld) }
     }
 
     /// Notes that a running job should stop.
@@ -308,37 +363,51 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn end_orphan(&self, id: &str) -> Result<(), StoreError> {
-        self.finish_job(id, JobState::Cancelled, None, None).await
+        self.finish_open_job(id, JobState::Cancelled, None).await
     }
 
-    /// At start: jobs of a kind that a server left running end as they were asked to, or go back to their queue. One that got further than
-    /// ever before starts to count anew; one that did not waits longer each time, and fails in the end: it may be what stops the server.
+    /// Jobs of a kind that were left running by members that are gone end as they were asked to, or go back to their queue. One that got
+    /// further than ever before starts to count anew; one that did not waits longer each time, and fails in the end: it may be what stops
+    /// its process.
     ///
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn recover_jobs(&self, kind: &str, recovery: Recovery) -> Result<(), StoreError> {
+        const LEFT: &str = "kind = $1 AND state = 'running' AND (holder IS NULL OR holder NOT IN (SELECT id FROM members))";
+        // Looked for among the readers first: where nobody is gone, nothing is written.
+        let left = format!("SELECT count(*) FROM jobs WHERE {LEFT}");
+        let left: i64 = sqlx::query_scalar(sqlx::AssertSqlSafe(left)).bind(kind).fetch_one(&self.reader).await?;
+        if left == 0 {
+            return Ok(());
+        }
         let Recovery { give_up_after, at_once, wait } = recovery;
         let mut tx = self.writer.begin().await?;
-        let stop = "UPDATE jobs SET state = 'cancelled', finished_at = $1 WHERE kind = $2 AND state = 'running' AND cancel_requested = 1";
-        sqlx::query(stop).bind(now()).bind(kind).execute(&mut *tx).await?;
-        let count = "UPDATE jobs SET interruptions = CASE WHEN progress > furthest + 0.001 THEN 1 ELSE interruptions + 1 END,
-                     furthest = CASE WHEN furthest < progress THEN progress ELSE furthest END WHERE kind = $1 AND state = 'running'";
-        sqlx::query(count).bind(kind).execute(&mut *tx).await?;
-        let give_up = "UPDATE jobs SET state = 'failed', error_code = 'interrupted', finished_at = $1,
-                       error = 'the server stopped ' || interruptions || ' times while this job ran, and it got no further'
-                       WHERE kind = $2 AND state = 'running' AND interruptions >= $3";
-        sqlx::query(give_up).bind(now()).bind(kind).bind(i64::from(give_up_after)).execute(&mut *tx).await?;
+        let stop = format!("UPDATE jobs SET state = 'cancelled', finished_at = $2 WHERE {LEFT} AND cancel_requested = 1");
+        sqlx::query(sqlx::AssertSqlSafe(stop)).bind(kind).bind(now()).execute(&mut *tx).await?;
+        let count = format!(
+            "UPDATE jobs SET interruptions = CASE WHEN progress > furthest + 0.001 THEN 1 ELSE interruptions + 1 END,
+             furthest = CASE WHEN furthest < progress THEN progress ELSE furthest END WHERE {LEFT}"
+        );
+        sqlx::query(sqlx::AssertSqlSafe(count)).bind(kind).execute(&mut *tx).await?;
+        let give_up = format!(
+            "UPDATE jobs SET state = 'failed', error_code = 'interrupted', finished_at = $2,
+             error = 'the server stopped ' || interruptions || ' times while this job ran, and it got no further'
+             WHERE {LEFT} AND interruptions >= $3"
+        );
+        sqlx::query(sqlx::AssertSqlSafe(give_up))
+            .bind(kind)
+            .bind(now())
+            .bind(i64::from(give_up_after))
+            .execute(&mut *tx)
+            .await?;
         for interruptions in at_once..give_up_after {
             let due = after(wait.saturating_mul(1 << (interruptions - at_once).min(16)).min(LONGEST_WAIT / 2));
-            let sql = "UPDATE jobs SET not_before = $1 WHERE kind = $2 AND state = 'running' AND interruptions = $3";
-            sqlx::query(sql).bind(due).bind(kind).bind(i64::from(interruptions)).execute(&mut *tx).await?;
+            let sql = format!("UPDATE jobs SET not_before = $2 WHERE {LEFT} AND interruptions = $3");
+            let put_off = sqlx::query(sqlx::AssertSqlSafe(sql)).bind(kind).bind(due).bind(i64::from(interruptions));
+            put_off.execute(&mut *tx).await?;
         }
-        sqlx::query(
-            "UPDATE jobs SET state = 'queued', started_at = NULL, stage = NULL, progress = 0 WHERE kind = $1 AND state = 'running'",
-        )
-        .bind(kind)
-        .execute(&mut *tx)
-        .await?;
+        let requeue = format!("UPDATE jobs SET state = 'queued', started_at = NULL, stage = NULL, progress = 0 WHERE {LEFT}");
+        sqlx::query(sqlx::AssertSqlSafe(requeue)).bind(kind).execute(&mut *tx).await?;
         tx.commit().await
     }
 }

@@ -1,6 +1,6 @@
 //! The database and the blob folder. Typed functions; no SQL elsewhere.
 //!
-//! One transaction writes at a time; readers wait for nobody. A scene points at the bytes it was uploaded as
+//! One transaction writes at a time; readers wait for nobody. Where it is in PostgreSQL, several processes may be at it (`members`). A scene points at the bytes it was uploaded as
 //! (`contents`) and at a finished parse of them (`parses`); both are shared by scenes with the same content and settings.
 
 mod announcements;
@@ -8,7 +8,6 @@ mod answers;
 mod backup;
 mod batches;
 mod blobs;
-mod claim;
 mod contents;
 mod copy;
 mod corrections;
@@ -20,11 +19,14 @@ mod health;
 mod ids;
 mod jobs;
 mod keys;
+mod members;
+mod news;
 mod parses;
 mod records;
 mod retention;
 mod scenes;
 mod sweep;
+mod turns;
 mod uploads;
 mod vlm;
 mod writer;
@@ -38,8 +40,10 @@ pub use database::{Location, PostgresUrl};
 pub use figures::{Figures, JobFigures};
 pub use growth::{Continued, Grew, Growth};
 pub use health::StoreHealth;
-pub use jobs::{JobFilter, JobRow, JobState, NewJob, Recovery};
+pub use jobs::{Hold, JobFilter, JobRow, JobState, NewJob, Recovery};
 pub use keys::KeyRow;
+pub use members::{Company, LEASE, Turn};
+pub use news::{News, Newsroom};
 pub use parses::{NewParse, ParseRow};
 pub use records::ParseRecord;
 pub use retention::{Aged, Before, Due};
@@ -49,11 +53,11 @@ pub use uploads::{CameOf, Unfinished, UploadRow, WantedScene};
 
 use answers::AnswerQueue;
 use camino::{Utf8Path, Utf8PathBuf};
-use claim::Claim;
 use data_folder::DataFolder;
 use database::{Connections, Engine};
 use ids::Ids;
 use jiff::Timestamp;
+use members::Membership;
 use sqlx::migrate::{Migration, MigrationType, Migrator};
 use sqlx::{AnyPool, SqlSafeStr};
 use std::io;
@@ -81,8 +85,11 @@ pub enum StoreError {
     OnlyOfSqlite { kept_in: &'static str },
     #[error("this data folder and this database do not belong together: one of the two is another server's (--data-dir, --database)")]
     NotTogether,
-    #[error("another server uses this database")]
+    #[error("another server uses this database: it can not be had for oneself, or somebody has it for himself")]
     DatabaseInUse,
+    /// The job was given to somebody else.
+    #[error("this process was not seen for so long that its job was given to another")]
+    NotHeld,
     #[error("another server uses this data folder")]
     InUse,
     #[error("it holds other things ({found}) and is no data folder of uniground's: choose an empty one")]
@@ -147,44 +154,65 @@ pub struct Store {
     ids: Ids,
     pub blobs: Blobs,
     folder: DataFolder,
-    /// Keeps others out of a database that is not in the folder.
-    claim: Option<Claim>,
+    members: Membership,
+    /// PostgreSQL's server, where the database is one of its.
+    server: Option<PostgresUrl>,
     /// Where the database is, if this is [a copy](Self::open_copy); it goes with the last handle.
     _copy: Option<Arc<TempDir>>,
 }
 
 impl Store {
-    /// Opens or creates the store below `data_dir`, brings the schema up to date and clears what an interrupted run left.
+    /// Opens or creates the store below `data_dir`, brings the schema up to date and clears what an interrupted run left. A database of
+    /// PostgreSQL's may be used by others too: then what they are at work on stays.
     ///
     /// # Errors
     /// [`StoreError`] when the folder or the database can not be used.
     pub async fn open(data_dir: &Utf8Path, location: &Location) -> Result<Self, StoreError> {
-        let store = Self::open_as_it_is(data_dir, location).await?;
-        store.forget_unused_rows().await?;
-        store.forget_half_received_batches().await?;
-        store.settle_what_was_left().await?;
-        // What can not be swept is no reason not to serve.
-        if let Err(error) = store.sweep(Duration::ZERO).await {
-            tracing::warn!(error = &error as &dyn std::error::Error, "the data folder could not be swept");
+        Self::open_with(data_dir, location, LEASE).await
+    }
+
+    /// As [`open`](Self::open). A process that was not seen for a `lease` is taken to be gone.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub async fn open_with(data_dir: &Utf8Path, location: &Location, lease: Duration) -> Result<Self, StoreError> {
+        let store = Self::open_for(data_dir, location, Company::Welcome, lease).await?;
+        store.forget_what_the_gone_left().await?;
+        if store.members.was_alone {
+            store.clear_folder().await?;
         }
-        store.remove_stray_uploads().await?;
-        let left_behind = store.blobs.left_behind()?;
-        store.blobs.remove_later(left_behind);
+        store.members.let_others_in().await?;
         Ok(store)
     }
 
-    /// Opens the store and leaves everything where it is.
+    /// Opens the store beside whoever uses it, as far as its database allows, and leaves everything where it is.
+    ///
+    /// # Errors
+    /// As [`open`](Self::open).
+    pub async fn open_beside(data_dir: &Utf8Path, location: &Location) -> Result<Self, StoreError> {
+        Self::open_for(data_dir, location, Company::Welcome, LEASE).await
+    }
+
+    /// Opens the store for nobody else and leaves everything where it is.
     ///
     /// # Errors
     /// As [`open`](Self::open).
     pub async fn open_as_it_is(data_dir: &Utf8Path, location: &Location) -> Result<Self, StoreError> {
+        Self::open_for(data_dir, location, Company::None, LEASE).await
+    }
+
+    async fn open_for(data_dir: &Utf8Path, location: &Location, company: Company, lease: Duration) -> Result<Self, StoreError> {
         let engine = location.engine()?;
         DataFolder::goes_with(data_dir, engine)?;
         // A folder is marked as one of a server's database once that has been reached.
-        let claim = Claim::take(location).await?;
+        let members = Membership::join(location, company, lease).await?;
         let server = match location {
-            Location::Postgres(url) => Some(Connections::to_server(url).await?),
+            Location::Postgres(url) => Some(url.clone()),
             _ => None,
+        };
+        let connected = match &server {
+            Some(url) => Some(Connections::to_server(url).await?),
+            None => None,
         };
         let path = data_dir.to_owned();
         let opened = spawn_blocking(move || {
@@ -193,15 +221,62 @@ impl Store {
             Ok::<_, StoreError>((folder, blobs))
         });
         let (folder, blobs) = opened.await.map_err(io::Error::other)??;
-        let connections = match server {
-            Some(server) => server,
+        let connections = match connected {
+            Some(connections) => connections,
             None => Connections::to_file(&folder.database()).await?,
         };
-        let store = Self::connect(connections, folder, blobs).await?;
-        if let Some(claim) = &claim {
-            claim.keep([store.reader.clone(), store.writer.pool().clone()]);
+        let store = Self::connect(connections, folder, blobs, members).await?;
+        Ok(Self { server, ..store })
+    }
+
+    /// What nobody speaks of any more, and what is half done; only who is alone can tell.
+    async fn clear_folder(&self) -> Result<(), StoreError> {
+        self.forget_unused_rows().await?;
+        // What can not be swept is no reason not to serve.
+        if let Err(error) = self.sweep(Duration::ZERO).await {
+            tracing::warn!(error = &error as &dyn std::error::Error, "the data folder could not be swept");
         }
-        Ok(Self { claim, ..store })
+        self.remove_stray_uploads().await?;
+        let left_behind = self.blobs.left_behind()?;
+        self.blobs.remove_later(left_behind);
+        Ok(())
+    }
+
+    /// Ends what processes that are gone were in the middle of: batches that were being received, money that was put aside.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn forget_what_the_gone_left(&self) -> Result<(), StoreError> {
+        self.forget_half_received_batches().await?;
+        self.settle_what_was_left().await
+    }
+
+    /// Waits for the turn at something, by its name: nobody else has it meanwhile, in this process or in another.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn turn(&self, name: &str) -> Result<Turn, StoreError> {
+        self.members.turn(name).await
+    }
+
+    /// The turn at something, if nobody has it.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn try_turn(&self, name: &str) -> Result<Option<Turn>, StoreError> {
+        self.members.try_turn(name).await
+    }
+
+    /// Whether other processes may be at work on the same.
+    #[must_use]
+    pub fn is_shared(&self) -> bool {
+        self.members.is_shared()
+    }
+
+    /// Whether no other process was at work on the same when this one came.
+    #[must_use]
+    pub fn came_alone(&self) -> bool {
+        self.members.was_alone
     }
 
     /// As [`open_as_it_is`](Self::open_as_it_is), where there is a store already.
@@ -214,7 +289,7 @@ impl Store {
     }
 
     /// A store over a database, which is brought up to date.
-    async fn connect(connections: Connections, folder: DataFolder, blobs: Blobs) -> Result<Self, StoreError> {
+    async fn connect(connections: Connections, folder: DataFolder, blobs: Blobs, members: Membership) -> Result<Self, StoreError> {
         let Connections { engine, reader, writer } = connections;
         migrations(engine).run(&writer).await?;
         let writer = Writer::new(writer, engine);
@@ -225,8 +300,10 @@ impl Store {
                       UNION ALL SELECT max(id) FROM keys UNION ALL SELECT max(id) FROM audit) AS newest";
         let newest: Option<String> = sqlx::query_scalar(newest).fetch_one(&reader).await?;
         let answers = AnswerQueue::start(writer.clone());
-        let store = Self { reader, writer, engine, answers, ids: Ids::after(newest.as_deref()), blobs, folder, claim: None, _copy: None };
+        let ids = Ids::after(newest.as_deref());
+        let store = Self { reader, writer, engine, answers, ids, blobs, folder, members, server: None, _copy: None };
         store.introduce().await?;
+        store.members.enter(&store.writer).await?;
         Ok(store)
     }
 
@@ -265,11 +342,9 @@ impl Store {
 
     /// Closes the database; WAL is checkpointed.
     pub async fn close(&self) {
+        self.members.leave().await;
         self.reader.close().await;
         self.writer.close().await;
-        if let Some(claim) = &self.claim {
-            claim.let_go().await;
-        }
     }
 
     /// Forgets content no scene refers to: the loser of two uploads under one key.
@@ -287,7 +362,7 @@ impl Store {
 }
 
 /// What brings a database of SQLite's of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 14] = [
+const MIGRATIONS: [(i64, &str, &str); 15] = [
     (1, "scenes parses jobs answers", include_str!("../../migrations/sqlite/0001_scenes_parses_jobs_answers.sql")),
     (2, "instance names spending", include_str!("../../migrations/sqlite/0002_instance_names_spending.sql")),
     (3, "lanes records", include_str!("../../migrations/sqlite/0003_lanes_records.sql")),
@@ -302,11 +377,14 @@ const MIGRATIONS: [(i64, &str, &str); 14] = [
     (12, "uploads", include_str!("../../migrations/sqlite/0012_uploads.sql")),
     (13, "scene changes", include_str!("../../migrations/sqlite/0013_scene_changes.sql")),
     (14, "labels", include_str!("../../migrations/sqlite/0014_labels.sql")),
+    (15, "members", include_str!("../../migrations/sqlite/0015_members.sql")),
 ];
 
 /// The same for PostgreSQL, whose first is what fourteen of SQLite's led to.
-const MIGRATIONS_OF_POSTGRES: [(i64, &str, &str); 1] =
-    [(14, "everything so far", include_str!("../../migrations/postgres/0014_everything_so_far.sql"))];
+const MIGRATIONS_OF_POSTGRES: [(i64, &str, &str); 2] = [
+    (14, "everything so far", include_str!("../../migrations/postgres/0014_everything_so_far.sql")),
+    (15, "members", include_str!("../../migrations/postgres/0015_members.sql")),
+];
 
 fn migrations(engine: Engine) -> Migrator {
     let migration = |&(version, name, sql): &(i64, &'static str, &'static str)| {

@@ -3,7 +3,7 @@
 use super::database::number;
 use super::growth::Continued;
 use super::records::{InstanceRecord, ParseRecord, RECORD_VERSION};
-use super::{SceneRow, Store, StoreError, now};
+use super::{Hold, SceneRow, Store, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{AnyConnection, FromRow, Row};
 use uniground_core::geometry::boxes::Aabb;
@@ -68,6 +68,8 @@ pub struct NewParse<'a> {
     pub instances: &'a [Instance],
     /// Of a scene that has grown: what it has from the parse before.
     pub continued: Option<Continued<'a>>,
+    /// By whose hands it was made.
+    pub hold: &'a Hold,
 }
 
 impl Store {
@@ -75,10 +77,11 @@ impl Store {
     /// content is gone because its last scene was deleted meanwhile: then nothing is written.
     ///
     /// # Errors
-    /// [`StoreError`].
+    /// [`StoreError`]; [`StoreError::NotHeld`] where its job was given to somebody else.
     pub async fn insert_parse(&self, parse: NewParse<'_>) -> Result<bool, StoreError> {
-        let NewParse { id, content_hash, settings_hash, settings, models, import, report, extent, instances, continued } = &parse;
+        let NewParse { id, content_hash, settings_hash, settings, models, import, report, extent, instances, continued, hold } = &parse;
         let mut tx = self.writer.begin().await?;
+        hold.check(&mut tx).await?;
         let inserted = sqlx::query(
             "INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at,
                                  record_version)
@@ -115,6 +118,17 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn parse(&self, id: &str) -> Result<Option<ParseRow>, StoreError> {
         Ok(sqlx::query_as("SELECT * FROM parses WHERE id = $1").bind(id).fetch_optional(&self.reader).await?)
+    }
+
+    /// How often what is known of a parse has changed since it was made: names, corrections, what was found. `None` when it is gone.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn changes_of_parse(&self, id: &str) -> Result<Option<i64>, StoreError> {
+        Ok(sqlx::query_scalar("SELECT changes FROM parses WHERE id = $1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?)
     }
 
     /// The parse of this content under these settings, when there is one.
@@ -188,9 +202,19 @@ impl Store {
             return Ok(known);
         };
         insert_instance(&mut tx, parse_id, &Instance { id, ..found.clone() }).await?;
+        note_change(&mut tx, parse_id).await?;
         tx.commit().await?;
         Ok(Some(id))
     }
+}
+
+/// What is known of a parse has changed: what others keep of it in memory is old.
+pub(super) async fn note_change(tx: &mut AnyConnection, parse_id: &str) -> Result<(), StoreError> {
+    sqlx::query("UPDATE parses SET changes = changes + 1 WHERE id = $1")
+        .bind(parse_id)
+        .execute(tx)
+        .await?;
+    Ok(())
 }
 
 /// A parse that is made anew because files of the one before were damaged takes over what people and models have said of that one, and what was

@@ -1,6 +1,7 @@
 //! What is kept of vision-language models: names they gave, and what was paid.
 
 use super::database::{number, without_nul};
+use super::parses::note_change;
 use super::{Store, StoreError, now};
 use std::collections::BTreeMap;
 
@@ -55,9 +56,11 @@ impl Store {
     pub async fn complete_name_index(&self, parse_id: &str, model: &str, prompt_version: u32) -> Result<(), StoreError> {
         let sql = "INSERT INTO name_indexes (parse_id, model, prompt_version, created_at)
                    SELECT $1, $2, $3, $4 WHERE EXISTS (SELECT 1 FROM parses WHERE id = $1) ON CONFLICT DO NOTHING";
+        let mut tx = self.writer.begin().await?;
         let insert = sqlx::query(sql).bind(parse_id).bind(model).bind(i64::from(prompt_version)).bind(now());
-        insert.execute(self.writer.pool()).await?;
-        Ok(())
+        insert.execute(&mut *tx).await?;
+        note_change(&mut tx, parse_id).await?;
+        tx.commit().await
     }
 
     /// The model that last named everything of a parse, by one version of the question.
@@ -90,8 +93,9 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn reserve_spending(&self, id: &str, day: &str, usd: f64, key_id: Option<&str>) -> Result<(), StoreError> {
-        let sql = "INSERT INTO reservations (id, day, usd, key_id) VALUES ($1, $2, $3, $4)";
-        sqlx::query(sql).bind(id).bind(day).bind(usd).bind(key_id).execute(self.writer.pool()).await?;
+        let sql = "INSERT INTO reservations (id, day, usd, key_id, member) VALUES ($1, $2, $3, $4, $5)";
+        let query = sqlx::query(sql).bind(id).bind(day).bind(usd).bind(key_id).bind(&*self.members.id());
+        query.execute(self.writer.pool()).await?;
         Ok(())
     }
 
@@ -117,20 +121,27 @@ impl Store {
         tx.commit().await
     }
 
-    /// Counts what was put aside for calls of a server that is no more as spent.
+    /// Counts what was put aside for calls of processes that are no more as spent.
     ///
     /// # Errors
     /// [`StoreError`].
     pub(super) async fn settle_what_was_left(&self) -> Result<(), StoreError> {
+        const LEFT: &str = "(member IS NULL OR member NOT IN (SELECT id FROM members))";
         let mut tx = self.writer.begin().await?;
-        let sql = "INSERT INTO spending (day, usd) SELECT day, sum(usd) FROM reservations WHERE true GROUP BY day
-                   ON CONFLICT (day) DO UPDATE SET usd = spending.usd + excluded.usd";
-        sqlx::query(sql).execute(&mut *tx).await?;
-        let sql = "INSERT INTO key_spending (key_id, day, usd)
-                   SELECT key_id, day, sum(usd) FROM reservations WHERE key_id IS NOT NULL GROUP BY key_id, day
-                   ON CONFLICT (key_id, day) DO UPDATE SET usd = key_spending.usd + excluded.usd";
-        sqlx::query(sql).execute(&mut *tx).await?;
-        sqlx::query("DELETE FROM reservations").execute(&mut *tx).await?;
+        for sql in [
+            format!(
+                "INSERT INTO spending (day, usd) SELECT day, sum(usd) FROM reservations WHERE {LEFT} GROUP BY day
+                 ON CONFLICT (day) DO UPDATE SET usd = spending.usd + excluded.usd"
+            ),
+            format!(
+                "INSERT INTO key_spending (key_id, day, usd)
+                 SELECT key_id, day, sum(usd) FROM reservations WHERE key_id IS NOT NULL AND {LEFT} GROUP BY key_id, day
+                 ON CONFLICT (key_id, day) DO UPDATE SET usd = key_spending.usd + excluded.usd"
+            ),
+            format!("DELETE FROM reservations WHERE {LEFT}"),
+        ] {
+            sqlx::query(sqlx::AssertSqlSafe(sql)).execute(&mut *tx).await?;
+        }
         tx.commit().await
     }
 }

@@ -26,6 +26,10 @@ impl Writer {
         Ok(transaction)
     }
 
+    pub fn engine(&self) -> Engine {
+        self.engine
+    }
+
     pub fn pool(&self) -> &AnyPool {
         &self.pool
     }

@@ -13,6 +13,7 @@ mod bad_input;
 mod batches;
 mod care;
 mod chat_models;
+mod cluster;
 mod conventions;
 mod corrections;
 mod databases;

@@ -1,6 +1,6 @@
 //! A server of its own for every test: in this process, or as a process that can be killed.
 
-use camino::{Utf8Path, Utf8PathBuf};
+use camino::Utf8Path;
 use reqwest::Method;
 use sqlx::{AnyConnection, Connection};
 use std::fs::File;
@@ -8,7 +8,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use uniground::app::{self, RunningService};
 use uniground::config::{
-    AccessConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, ServeConfig, VlmConfig, WebhookConfig,
+    AccessConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, Role, ServeConfig, VlmConfig, WebhookConfig,
 };
 use uniground::store::Location;
 use uniground_client::{Client, ClientError};
@@ -62,6 +62,23 @@ pub async fn loose_rows(data: &Utf8Path) -> AnyConnection {
     rows
 }
 
+/// That of a server on a data folder, without models.
+pub fn config(data_dir: &Utf8Path) -> ServeConfig {
+    ServeConfig {
+        listen: "127.0.0.1:0".parse().unwrap(),
+        database: DatabaseConfig { location: location(data_dir), ..DatabaseConfig::default() },
+        data_dir: data_dir.to_owned(),
+        role: Role::All,
+        access: AccessConfig::default(),
+        models: ModelsConfig::builtin(),
+        fetch_models: false,
+        vlm: VlmConfig::default(),
+        webhook: WebhookConfig::default(),
+        limits: LimitsConfig::default(),
+        log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
+    }
+}
+
 /// A running server with a fresh data folder.
 pub struct TestServer {
     pub client: Client,
@@ -84,20 +101,8 @@ impl TestServer {
 
     /// A server on a data folder that may have been another server's.
     pub async fn start_on(data: tempfile::TempDir, limits: LimitsConfig, vlm: VlmConfig, models: ModelsConfig) -> Self {
-        let data_dir = Utf8PathBuf::try_from(data.path().to_owned()).unwrap();
-        let config = ServeConfig {
-            listen: "127.0.0.1:0".parse().unwrap(),
-            database: DatabaseConfig { location: location(&data_dir) },
-            data_dir,
-            access: AccessConfig::default(),
-            models,
-            fetch_models: false,
-            vlm,
-            webhook: WebhookConfig::default(),
-            limits,
-            log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
-        };
-        let running = app::start(&config).await.unwrap();
+        let config = config(Utf8Path::from_path(data.path()).unwrap());
+        let running = app::start(&ServeConfig { models, vlm, limits, ..config }).await.unwrap();
         let client = Client::new(&format!("http://{}", running.address), None).unwrap();
         Self { client, running, data }
     }

@@ -32,7 +32,7 @@ impl Service {
         // What can not be asked at all uses up no key.
         self.ready_scene(scene_id).await?;
         let key = caller.own(key.to_owned());
-        let _turn = self.being_answered.at(&key).await;
+        let _turn = self.answering(&key).await?;
         let digest = Sha256::digest(serde_json::to_vec(&(scene_id, &request))?);
         let asked: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
         // The answer has its id before it is asked: one that was kept before a crash is known again.

@@ -160,14 +160,13 @@ impl SceneSource for StoredScene {
 
     async fn keep_found(self: &Arc<Self>, found: Instance) -> Result<(Arc<Self>, InstanceId), Error> {
         // Of a scene that grows it is kept before the next parse goes on from this one, or not at all: its id would be another's.
-        let _turn = self.service.correcting.at(&self.parse.id).await;
+        let _turn = self.service.correcting(&self.parse.id).await?;
         let Some(id) = self.service.store.insert_found(&self.parse.id, &found, MOST_FOUND).await? else {
             // For this question alone.
             let (mut parse, id) = (LoadedParse::clone(&self.parse), InstanceId(self.parse.instances.len() as u32 + 1));
             parse.instances.push(Instance { id, ..found });
             return Ok((Self::new(self.service.clone(), Arc::new(parse)), id));
         };
-        self.service.parses.forget(&self.parse.id);
         Ok((Self::new(self.service.clone(), self.service.loaded_parse(&self.parse.id).await?), id))
     }
 

@@ -1,17 +1,16 @@
 //! Asking the questions of a batch.
 
-use super::{Beginning, Beginnings, reason};
+use super::reason;
 use crate::error::Error;
 use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
 use crate::service::answers::Asker;
 use crate::service::vlm::OF_QUESTION;
 use crate::service::{Caller, Service, job_failure, until_cancelled};
-use crate::store::{BatchRow, ClosedItem, OpenItem};
+use crate::store::{BatchRow, ClosedItem, Hold, OpenItem};
 use futures::future::ready;
 use futures::{StreamExt, stream};
 use serde::{Deserialize, Serialize};
 use std::pin::pin;
-use std::sync::PoisonError;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
@@ -74,36 +73,17 @@ struct Run {
     /// Items that are answered or have failed, those of earlier runs too.
     done: u32,
     progress: Progress,
-    /// Taken out when the run ends, however it does.
-    _begun: Begun,
-}
-
-/// That a batch is being asked, and since when: what the time left is told by.
-struct Begun {
-    batches: Beginnings,
-    id: String,
-}
-
-impl Drop for Begun {
-    fn drop(&mut self) {
-        self.batches.lock().unwrap_or_else(PoisonError::into_inner).remove(&self.id);
-    }
+    hold: Hold,
 }
 
 impl Service {
-    async fn run_batch(&self, JobContext { payload, progress, .. }: JobContext<Payload>) -> Result<String, Error> {
+    async fn run_batch(&self, JobContext { hold, payload, progress }: JobContext<Payload>) -> Result<String, Error> {
         // Deleted meanwhile, or submitted by a server that did not live to see it through.
         let Some(batch) = self.store.batch(&payload.batch_id).await? else { return Ok("there is no such batch any more".into()) };
         let (numbers, spent) = self.store.batch_figures(&batch.id).await?;
         let done = numbers.values().sum();
-        let beginning = Beginning { at: Instant::now(), done };
-        self.asked_batches
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .insert(batch.id.clone(), beginning);
-        let begun = Begun { batches: self.asked_batches.clone(), id: batch.id.clone() };
         let budget = batch.max_cost_usd.map(|usd| Budget::new(THIS_BATCH, usd).with_spent(spent));
-        let mut run = Run { service: self.clone(), batch, budget, done, progress, _begun: begun };
+        let mut run = Run { service: self.clone(), batch, budget, done, progress, hold };
         loop {
             if !run.is_wanted().await? {
                 return Ok(run.told("stopped"));
@@ -191,7 +171,7 @@ impl Run {
 
     /// Writes down what came of items; whether more are wanted.
     async fn write(&mut self, closed: &mut Vec<ClosedItem>) -> Result<bool, Error> {
-        self.service.store.close_batch_items(&self.batch.id, closed).await?;
+        self.service.store.close_batch_items(&self.hold, &self.batch.id, closed).await?;
         for item in closed.drain(..) {
             self.service.metrics.questions.item(&item.status);
             self.done += 1;

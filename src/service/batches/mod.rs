@@ -13,9 +13,6 @@ use crate::error::Error;
 use crate::jobs::{JobKind, JobsError};
 use crate::store::{BatchRow, NewJob, Resumed, page};
 use job::Payload;
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
 use uniground_types::batch::{Batch, BatchList, BatchState};
 
 /// Questions of a batch asked at once, where it does not say.
@@ -25,8 +22,6 @@ const MAX_CONCURRENCY: u32 = 64;
 /// Items a batch may have.
 const MAX_ITEMS: u32 = 1_000_000;
 const MAX_LABEL_CHARS: usize = 200;
-/// Below this share done, the time left is a guess.
-const MIN_DONE_FOR_ETA: f32 = 0.01;
 
 /// Why a batch is paused that nobody paused.
 mod reason {
@@ -104,15 +99,15 @@ impl Service {
         self.store.batch(id).await?.ok_or_else(|| Error::BatchNotFound { id: id.into() })
     }
 
-    /// Where a batch stands, and why.
-    async fn batch_state(&self, row: &BatchRow) -> Result<(BatchState, Option<String>), Error> {
-        let is_over = match &row.job_id {
+    /// Where a batch stands, why, and how long it will take, seconds.
+    async fn batch_state(&self, row: &BatchRow) -> Result<(BatchState, Option<String>, Option<f32>), Error> {
+        let (is_over, eta_s) = match &row.job_id {
             Some(id) => match self.jobs.get(id).await {
-                Ok(job) => job.state.is_final(),
-                Err(JobsError::NotFound { .. }) => true,
+                Ok(job) => (job.state.is_final(), job.eta_s),
+                Err(JobsError::NotFound { .. }) => (true, None),
                 Err(error) => return Err(error.into()),
             },
-            None => false,
+            None => (false, None),
         };
         let (mut state, mut reason) = (row.state.clone(), row.reason.clone());
         if state == "running" && is_over {
@@ -125,40 +120,18 @@ impl Service {
             }
         }
         Ok(match state.as_str() {
-            "running" => (BatchState::Running, None),
-            "paused" => (BatchState::Paused, reason),
-            "cancelled" => (BatchState::Cancelled, None),
-            _ => (BatchState::Succeeded, None),
+            "running" => (BatchState::Running, None, eta_s),
+            "paused" => (BatchState::Paused, reason, None),
+            "cancelled" => (BatchState::Cancelled, None, None),
+            _ => (BatchState::Succeeded, None, None),
         })
     }
 
     async fn present_batch(&self, row: BatchRow) -> Result<Batch, Error> {
-        let (state, reason) = self.batch_state(&row).await?;
+        let (state, reason, eta_s) = self.batch_state(&row).await?;
         let (by_status, cost_usd) = self.store.batch_figures(&row.id).await?;
         let done = by_status.values().sum();
-        let beginning = self.asked_batches.lock().unwrap_or_else(PoisonError::into_inner).get(&row.id).copied();
-        let eta_s = beginning
-            .filter(|_| state == BatchState::Running)
-            .and_then(|beginning| time_left(beginning, done, row.items));
         let BatchRow { id, label, items, job_id, created_at, finished_at, .. } = row;
         Ok(Batch { id, label, state, reason, items, done, by_status, cost_usd, eta_s, job_id, created_at, finished_at })
     }
-}
-
-/// Where a batch's job began.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Beginning {
-    at: Instant,
-    /// Items that were done by then.
-    done: u32,
-}
-
-/// Batches being asked, by id.
-pub(super) type Beginnings = Arc<Mutex<HashMap<String, Beginning>>>;
-
-/// Seconds left, if the rest goes as what this job has done.
-fn time_left(Beginning { at, done: before }: Beginning, done: u32, items: u32) -> Option<f32> {
-    let (own, left) = (done.checked_sub(before)?, items.checked_sub(done)?);
-    let enough = own as f32 >= (items - before) as f32 * MIN_DONE_FOR_ETA;
-    (left > 0 && own > 0 && enough).then(|| at.elapsed().as_secs_f32() * left as f32 / own as f32)
 }

@@ -69,7 +69,7 @@ impl Service {
     async fn next_page(&self, mut wanted: Results) -> Result<Option<(Bytes, Results)>, Error> {
         loop {
             // Looked at before the items: what is closed after this is found next time.
-            let (state, _) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
+            let (state, ..) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
             let rows = self.store.batch_items(&wanted.batch_id, wanted.from, PAGE).await?;
             let done: Vec<ItemRow> = rows.into_iter().take_while(|row| row.status.is_some()).collect();
             if let Some(last) = done.last() {

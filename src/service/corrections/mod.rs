@@ -64,9 +64,7 @@ impl Service {
         };
         let author = caller.key.as_ref().map(|key| key.row.name.as_str());
         let new = NewCorrection { parse_id: &parse_id, change: &change, author, made };
-        let correction = self.store.insert_correction(new, MOST).await?.ok_or(Error::TooManyCorrections { most: MOST })?;
-        self.parses.forget(&parse_id);
-        Ok(correction)
+        self.store.insert_correction(new, MOST).await?.ok_or(Error::TooManyCorrections { most: MOST })
     }
 
     /// What was said of a scene's current parse, newest first.
@@ -101,7 +99,6 @@ impl Service {
             return Err(Error::CorrectionInUse { by: by.id.clone() });
         }
         self.store.undo_correction(id).await?;
-        self.parses.forget(&parse_id);
         self.store
             .corrections(&parse_id)
             .await?

@@ -154,6 +154,21 @@ impl Keyring {
         Ok(Self { store, own, known: Arc::new(RwLock::new(known)), link_secret: LinkSecret::random()? })
     }
 
+    /// Reads anew what other processes may have changed. A key that is as it was keeps the count of its requests.
+    ///
+    /// # Errors
+    /// [`Error::Store`].
+    pub async fn reload(&self) -> Result<(), Error> {
+        let rows = self.store.all_keys().await?;
+        let mut known = self.known.write().unwrap_or_else(PoisonError::into_inner);
+        for row in rows {
+            if known.get(&row.prefix).is_none_or(|key| key.row.revoked_at != row.revoked_at) {
+                known.insert(row.prefix.clone(), KnownKey::of(row));
+            }
+        }
+        Ok(())
+    }
+
     /// With a secret that other servers know as well, or that outlives this one: links work there too.
     #[must_use]
     pub fn with_link_secret(self, link_secret: LinkSecret) -> Self {

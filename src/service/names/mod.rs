@@ -154,8 +154,7 @@ impl Service {
             named += names.values().filter(|name| !name.is_empty()).count();
         }
         self.store.complete_name_index(&parse_id, vlm.name(), naming::NAMING_VERSION).await?;
-        // Whoever asks from now on is answered with all names.
-        self.parses.forget(&parse_id);
+        // From here on whoever asks is answered with all names.
         Ok(format!("{named} of {} objects named by {}", unnamed.len(), vlm.name()))
     }
 

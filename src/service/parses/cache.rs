@@ -4,7 +4,7 @@ use crate::store::Scratch;
 use bytes::Bytes;
 use camino::Utf8PathBuf;
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::SystemTime;
 use uniground_core::approach::Occupancy;
 use uniground_core::geometry::boxes::Aabb;
@@ -52,9 +52,8 @@ const FILES: usize = 4096;
 
 /// What is known of parses without looking at the disk, by their ids.
 pub struct ParseCache {
-    pub loaded: Recent<Arc<LoadedParse>>,
-    /// How often something that was loaded has changed since.
-    changes: Mutex<u64>,
+    /// Each with how often what is known of it had changed by then.
+    loaded: Recent<(i64, Arc<LoadedParse>)>,
     pub render_scenes: Recent<Arc<RenderScene>>,
     /// What of the room is occupied. Corrections change nothing of it: it is of the points as they were cut.
     pub occupancies: Recent<Arc<Occupancy>>,
@@ -70,7 +69,6 @@ impl Default for ParseCache {
     fn default() -> Self {
         Self {
             loaded: Recent::new(PARSES),
-            changes: Mutex::default(),
             render_scenes: Recent::new(POINTS),
             occupancies: Recent::new(OCCUPANCY_BYTES),
             sound: Recent::new(FILES),
@@ -81,23 +79,23 @@ impl Default for ParseCache {
 }
 
 impl ParseCache {
-    /// To be shown by who keeps what is loaded from now on.
-    pub fn changes(&self) -> u64 {
-        *self.changes.lock().unwrap_or_else(PoisonError::into_inner)
+    /// A parse, unless what is known of it has changed since it was loaded.
+    pub fn loaded(&self, id: &str, changes: i64) -> Option<Arc<LoadedParse>> {
+        self.loaded.get(id).filter(|(of, _)| *of == changes).map(|(_, parse)| parse)
     }
 
-    /// Keeps what was loaded, unless something has changed since: it may have been read before that.
-    pub fn keep(&self, parse: &Arc<LoadedParse>, changes_before: u64) {
-        let changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
-        if *changes == changes_before {
-            self.loaded.put(parse.id.clone(), parse.clone(), 1);
-        }
+    /// Keeps a parse that was loaded after so many changes.
+    pub fn keep(&self, parse: &Arc<LoadedParse>, changes: i64) {
+        self.loaded.put(parse.id.clone(), (changes, parse.clone()), 1);
     }
 
-    /// Forgets a parse, of which something has just been written: names, what was found, corrections.
+    /// Forgets a parse that is gone.
     pub fn forget(&self, id: &str) {
-        let mut changes = self.changes.lock().unwrap_or_else(PoisonError::into_inner);
-        *changes += 1;
         self.loaded.remove(id);
+    }
+
+    /// How often parses were found in memory, and how often not.
+    pub fn looks(&self) -> (u64, u64) {
+        self.loaded.looks()
     }
 }

@@ -3,10 +3,10 @@
 use super::{ParseFile, read_frames};
 use crate::error::Error;
 use crate::service::Service;
+use crate::store::Turn;
 use camino::Utf8PathBuf;
 use std::fs::File;
 use std::io::BufReader;
-use tokio::sync::OwnedMutexGuard;
 use uniground_core::changes::{Counterparts, Look, carried, compare, continued, pairs};
 use uniground_core::geometry::Isometry3;
 use uniground_core::ingest;
@@ -42,10 +42,10 @@ impl Service {
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`].
-    pub(in crate::service) async fn turn_at_parse(&self, scene_id: &str) -> Result<(String, OwnedMutexGuard<()>), Error> {
+    pub(in crate::service) async fn turn_at_parse(&self, scene_id: &str) -> Result<(String, Turn), Error> {
         loop {
             let (_, parse_id) = self.ready_scene(scene_id).await?;
-            let turn = self.correcting.at(&parse_id).await;
+            let turn = self.correcting(&parse_id).await?;
             if self.ready_scene(scene_id).await?.1 == parse_id {
                 return Ok((parse_id, turn));
             }

@@ -72,8 +72,8 @@ impl JobKind for ParseJob {
 }
 
 impl Service {
-    async fn run_parse(&self, JobContext { id: job_id, payload, progress }: JobContext<Payload>) -> Result<String, Error> {
-        let Payload { scene_id, settings } = payload;
+    async fn run_parse(&self, JobContext { hold, payload, progress }: JobContext<Payload>) -> Result<String, Error> {
+        let (Payload { scene_id, settings }, job_id) = (payload, hold.job_id.clone());
         let scene = self.scene_row(&scene_id).await?;
         if self.take_stored_parse(&scene, &settings, &job_id).await? {
             return Ok(STORED_PARSE_USED.into());
@@ -137,6 +137,7 @@ impl Service {
                 report: &parsed.report,
                 extent: &parsed.extent,
                 instances: &parsed.instances,
+                hold: &hold,
                 continued: inherited.as_ref().map(|inherited| Continued {
                     scene_id: &scene_id,
                     from_parse: &inherited.parse_id,
@@ -166,7 +167,7 @@ impl Service {
     /// Makes a stored parse of the same content and settings the scene's own, where there is one.
     async fn take_stored_parse(&self, scene: &SceneRow, settings: &ParseSettings, job_id: &str) -> Result<bool, Error> {
         // It stays until the scene refers to it.
-        let _references = self.parse_references.lock().await;
+        let _references = self.parse_references().await?;
         let Some(parse_id) = self.stored_parse(&scene.content_hash, settings).await? else { return Ok(false) };
         self.store.set_scene_parse(&scene.id, &parse_id, job_id).await?;
         Ok(true)

@@ -45,7 +45,7 @@ impl Service {
     pub async fn start_parse(&self, scene_id: &str, settings: &ParseSettings, caller: &Caller) -> Result<Job, Error> {
         let scene = self.scene_row(scene_id).await?;
         // A stored parse stays until the scene refers to it.
-        let _references = self.parse_references.lock().await;
+        let _references = self.parse_references().await?;
         let wanted = self.wanted_parse(&scene.id, &scene.content_hash, settings, caller).await?;
         if wanted.stored.is_none() {
             self.check_disk(0)?;
@@ -134,7 +134,6 @@ impl Service {
                 self.jobs.recorded::<ParseJob>(row);
             }
         }
-        self.parses.forget(parse_id);
         Ok(())
     }
 
@@ -181,10 +180,11 @@ impl Service {
 
     /// A parse in memory.
     pub(super) async fn loaded_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
-        if let Some(parse) = self.parses.loaded.get(parse_id) {
+        // Of now, not of when it is read: what changes in between is read once more.
+        let changes = self.changes_of_parse(parse_id).await?;
+        if let Some(parse) = self.parses.loaded(parse_id, changes) {
             return Ok(parse);
         }
-        let changes = self.parses.changes();
         let parse = Arc::new(self.read_parse(parse_id).await?);
         self.parses.keep(&parse, changes);
         Ok(parse)
@@ -192,10 +192,16 @@ impl Service {
 
     /// A parse that is looked at in passing: those that people ask about stay in memory, whatever many are looked through.
     pub(super) async fn passing_parse(&self, parse_id: &str) -> Result<Arc<LoadedParse>, Error> {
-        match self.parses.loaded.get(parse_id) {
+        match self.parses.loaded(parse_id, self.changes_of_parse(parse_id).await?) {
             Some(parse) => Ok(parse),
             None => Ok(Arc::new(self.read_parse(parse_id).await?)),
         }
+    }
+
+    /// How often what is known of a parse has changed: by this process or another.
+    async fn changes_of_parse(&self, parse_id: &str) -> Result<i64, Error> {
+        let changes = self.store.changes_of_parse(parse_id).await?;
+        changes.ok_or_else(|| Error::SceneNotFound { id: parse_id.into() })
     }
 
     async fn read_parse(&self, parse_id: &str) -> Result<LoadedParse, Error> {

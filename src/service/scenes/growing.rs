@@ -86,7 +86,7 @@ impl Service {
             })
         })
         .await??;
-        let references = self.content_references.lock().await;
+        let references = self.content_references().await?;
         let settings = self.store.parse(&parse_id).await?.map(|parse| parse.record().settings).unwrap_or_default();
         let wanted = self.wanted_parse(scene_id, &laid, &settings, caller).await?;
         let grew = self.store.grow_scene(Growth {

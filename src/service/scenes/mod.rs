@@ -112,7 +112,7 @@ impl Service {
             }
             self.discard_transcripts(&answers).await?;
         }
-        let _references = self.content_references.lock().await;
+        let _references = self.content_references().await?;
         let left_over = self.store.delete_scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
         Ok(self.store.blobs.set_aside(left_over).await?)
     }

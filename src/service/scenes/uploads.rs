@@ -181,12 +181,12 @@ impl Service {
             (None, Some(unpacked)) => unpacked.name.clone(),
             (None, None) => self.archive_name(&received.hash).await?,
         };
-        let mut references = self.content_references.lock().await;
+        let mut references = self.content_references().await?;
         if unpacked.is_none() && !self.has_content(&received.hash).await? {
             // Its last scene was deleted in between.
             drop(references);
             unpacked = Some(self.unpack(received.clone()).await?);
-            references = self.content_references.lock().await;
+            references = self.content_references().await?;
         }
         // Again, with nobody beside: several uploads at once must not come to more.
         self.check_quota(caller).await?;

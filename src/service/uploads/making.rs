@@ -30,7 +30,7 @@ impl Service {
     /// [`Error::Store`].
     pub async fn make_left_uploads(&self) -> Result<(), Error> {
         for id in self.store.unmade_uploads().await? {
-            let Ok(_turn) = self.uploads_at_work.turn(&id) else { continue };
+            let Ok(_turn) = self.at_upload(&id).await else { continue };
             let Some(row) = self.store.upload(&id).await?.filter(|row| row.came_of.is_none()) else { continue };
             let row = self.as_on_disk(row).await?;
             if row.received < row.length {

@@ -4,7 +4,6 @@
 //! How much of an upload is there is what its record says, which is written after the bytes are on the disk. A server that is killed, and a
 //! machine that loses its power, forget what was not noted yet, never more.
 
-mod at_work;
 mod checking;
 mod making;
 mod parts;
@@ -13,7 +12,6 @@ pub use checking::{Algorithm, Checksum};
 pub use making::Telling;
 pub use parts::Part;
 
-pub(super) use at_work::AtWork;
 pub(super) use making::unexplained;
 
 use super::scenes::check_name;
@@ -56,7 +54,7 @@ impl Service {
             self.jobs.check_room::<ParseJob>().await?;
         }
         // With nobody beside: several at once must not come to more.
-        let _beginning = self.uploads_at_work.beginning.lock().await;
+        let _beginning = self.beginning_uploads().await?;
         let since = self.oldest_upload().map_or_else(String::new, |oldest| oldest.to_string());
         let unfinished = self.store.unfinished_uploads(&since, caller.key_id()).await?;
         let most = match &caller.key {
@@ -101,7 +99,7 @@ impl Service {
     /// [`Error::UploadNotFound`], [`Error::UploadExpired`], [`Error::UploadBusy`].
     pub async fn delete_upload(&self, id: &str, caller: &Caller) -> Result<(), Error> {
         self.upload_row(id, caller).await?;
-        let _turn = self.uploads_at_work.turn(id)?;
+        let _turn = self.at_upload(id).await?;
         if !self.store.delete_upload(id).await? {
             return Err(Error::UploadNotFound { id: id.into() });
         }

@@ -52,7 +52,7 @@ impl Service {
         let place = place.map_err(|_| Error::TooMany { what: "uploads", most: MAX_UPLOADS })?;
         // Whose it is not is not told that somebody is at work on it.
         self.upload_row(id, caller).await?;
-        let _turn = self.uploads_at_work.turn(id)?;
+        let _turn = self.at_upload(id).await?;
         let mut row = self.upload_row(id, caller).await?;
         if part.offset != row.received {
             return Err(Error::WrongOffset { offset: row.received });

@@ -1,0 +1,9 @@
+//! `uniground worker`: does jobs beside servers over the same database, until SIGTERM or Ctrl-C.
+
+use super::serve;
+use crate::app;
+use crate::config::WorkerConfig;
+
+pub async fn run(config: &WorkerConfig) -> anyhow::Result<()> {
+    serve::until_stopped(&config.serve, app::start_part(&config.serve, &config.into())).await
+}
