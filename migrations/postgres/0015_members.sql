@@ -19,3 +19,10 @@ WHEN (NEW.state = 'queued') EXECUTE FUNCTION tell_of_job();
 CREATE FUNCTION tell_of_keys() RETURNS trigger LANGUAGE plpgsql AS
 'BEGIN PERFORM pg_notify(''uniground_keys'', ''''); RETURN NULL; END';
 CREATE TRIGGER keys_that_change AFTER INSERT OR UPDATE OF revoked_at ON keys FOR EACH STATEMENT EXECUTE FUNCTION tell_of_keys();
+
+-- Requests of keys that may not come as often as they like: when all of what they may is there again, seconds of Unix time. Only here: a single
+-- process counts in memory.
+CREATE UNLOGGED TABLE key_rates (
+    key_id  TEXT COLLATE "C" PRIMARY KEY,
+    full_at DOUBLE PRECISION NOT NULL
+);

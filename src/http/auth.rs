@@ -35,7 +35,7 @@ pub async fn check(State(app): State<App>, mut request: Request, next: Next) -> 
     let allowance = match &caller.key {
         Some(key) => {
             app.service.keys.note_use(key);
-            match key.count() {
+            match app.service.keys.count(key).await {
                 Ok(allowance) => allowance,
                 Err((wait_s, allowance)) => return limited(too_fast(wait_s), Some(allowance)),
             }

@@ -45,6 +45,9 @@ impl FromRow<'_, AnyRow> for KeyRow {
     }
 }
 
+/// What a rate is told by, seconds.
+const MINUTE_S: f64 = 60.0;
+
 impl Store {
     /// # Errors
     /// [`StoreError::Database`].
@@ -106,6 +109,30 @@ impl Store {
             .execute(self.writer.pool())
             .await?;
         Ok(())
+    }
+
+    /// Counts a request of a key that may come so often a minute, whichever process is asked: seconds until all of that is there again (at
+    /// most 60), or, where it comes too often, until it may come once more.
+    ///
+    /// Each request takes its share of a minute from what is there; a key that was quiet for a minute has all of it.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn count_request(&self, key_id: &str, per_minute: u32) -> Result<Result<f64, f64>, StoreError> {
+        let (clock, share) = (self.engine.clock(), MINUTE_S / f64::from(per_minute.max(1)));
+        let sql = format!(
+            "INSERT INTO key_rates (key_id, full_at) VALUES ($1, {clock} + $2)
+             ON CONFLICT (key_id) DO UPDATE SET full_at = greatest(key_rates.full_at, {clock}) + $2
+             WHERE greatest(key_rates.full_at, {clock}) + $2 <= {clock} + $3 + 0.000001
+             RETURNING full_at - {clock}"
+        );
+        let taken = sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(key_id).bind(share).bind(MINUTE_S);
+        if let Some(until_full) = taken.fetch_optional(self.writer.pool()).await? {
+            return Ok(Ok(until_full));
+        }
+        let sql = format!("SELECT full_at - {clock} FROM key_rates WHERE key_id = $1");
+        let until_full: Option<f64> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind(key_id).fetch_optional(self.writer.pool()).await?;
+        Ok(Err((until_full.unwrap_or(0.0) + share - MINUTE_S).max(0.0)))
     }
 
     /// What questions of a key cost on a day, US dollars.

@@ -50,6 +50,7 @@ pub use retention::{Aged, Before, Due};
 pub use scenes::{Inserted, NewSceneRow, SceneFilter, SceneRow, SceneRowChange};
 pub use sweep::{KEEP_QUARANTINE_DAYS, Strays};
 pub use uploads::{CameOf, Unfinished, UploadRow, WantedScene};
+pub use vlm::{Allowance, Short, Wish};
 
 use answers::AnswerQueue;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -237,16 +238,26 @@ impl Store {
             tracing::warn!(error = &error as &dyn std::error::Error, "the data folder could not be swept");
         }
         self.remove_stray_uploads().await?;
-        let left_behind = self.blobs.left_behind()?;
+        let left_behind = self.blobs.left_behind(Duration::ZERO)?;
+        self.blobs.remove_later(left_behind);
+        Ok(())
+    }
+
+    /// Clears what processes that are gone have left, while others are at work.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn clear_beside_others(&self) -> Result<(), StoreError> {
+        const DAY: Duration = Duration::from_hours(24);
+        self.forget_what_the_gone_left().await?;
+        self.remove_stray_uploads().await?;
+        let left_behind = self.blobs.left_behind(DAY)?;
         self.blobs.remove_later(left_behind);
         Ok(())
     }
 
     /// Ends what processes that are gone were in the middle of: batches that were being received, money that was put aside.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn forget_what_the_gone_left(&self) -> Result<(), StoreError> {
+    async fn forget_what_the_gone_left(&self) -> Result<(), StoreError> {
         self.forget_half_received_batches().await?;
         self.settle_what_was_left().await
     }

@@ -167,13 +167,20 @@ impl Store {
 
     /// Removes files of uploads that are over or that nobody knows: whoever sent one whose record was lost has it still.
     pub(super) async fn remove_stray_uploads(&self) -> Result<(), StoreError> {
+        // Before the records are read: one that begins has its record first, and then its file.
+        let blobs = self.blobs.clone();
+        let all = tokio::task::spawn_blocking(move || blobs.all_uploads()).await.map_err(io::Error::other)??;
         let sql = format!("SELECT id FROM uploads WHERE {OPEN}");
         let open: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).fetch_all(&self.reader).await?;
         let open: HashSet<String> = open.into_iter().collect();
         let blobs = self.blobs.clone();
         let removed = tokio::task::spawn_blocking(move || {
-            let mut strays = blobs.all_uploads()?.into_iter().filter(|name| !open.contains(name));
-            strays.try_for_each(|name| fs::remove_file(blobs.upload(&name)))
+            let mut strays = all.into_iter().filter(|name| !open.contains(name));
+            strays.try_for_each(|name| match fs::remove_file(blobs.upload(&name)) {
+                // Whoever ended it was faster.
+                Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
+                removed => removed,
+            })
         });
         Ok(removed.await.map_err(io::Error::other)??)
     }

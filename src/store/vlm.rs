@@ -5,6 +5,34 @@ use super::parses::note_change;
 use super::{Store, StoreError, now};
 use std::collections::BTreeMap;
 
+/// Money that somebody wants to have put aside.
+#[derive(Debug, Clone, Copy)]
+pub struct Wish<'a> {
+    /// UTC date.
+    pub day: &'a str,
+    /// US dollars, as all of these.
+    pub usd: f64,
+    pub key_id: Option<&'a str>,
+    /// What may be spent on a day by all together, and by this key.
+    pub daily_usd: Option<f64>,
+    pub key_daily_usd: Option<f64>,
+}
+
+/// Whose money a day's is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Allowance {
+    OfAll,
+    OfKey,
+}
+
+/// There is too little of it.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Short {
+    pub whose: Allowance,
+    pub limit_usd: f64,
+    pub left_usd: f64,
+}
+
 impl Store {
     /// Names of a parse's instances, by id, as one model gave them with one version of the question.
     ///
@@ -88,15 +116,35 @@ impl Store {
         Ok(usd.unwrap_or(0.0))
     }
 
-    /// Puts money aside for a call that is about to be made, under a new id, for somebody.
+    /// Puts money aside for a call that is about to be made, under a new id, if what may be spent on its day leaves so much: all processes
+    /// together, calls under way counted as what they are thought to cost. An allowance that is used up pays for nothing, not even for what
+    /// seems to be free.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn reserve_spending(&self, id: &str, day: &str, usd: f64, key_id: Option<&str>) -> Result<(), StoreError> {
+    pub async fn reserve_spending(&self, id: &str, wish: &Wish<'_>) -> Result<Result<(), Short>, StoreError> {
+        let Wish { day, usd, key_id, daily_usd, key_daily_usd } = *wish;
+        let mut tx = self.writer.begin().await?;
+        let of_all = "SELECT coalesce((SELECT usd FROM spending WHERE day = $1), 0.0)
+                           + coalesce((SELECT sum(usd) FROM reservations WHERE day = $1), 0.0)";
+        let of_key = "SELECT coalesce((SELECT usd FROM key_spending WHERE day = $1 AND key_id = $2), 0.0)
+                           + coalesce((SELECT sum(usd) FROM reservations WHERE day = $1 AND key_id = $2), 0.0)";
+        for (whose, sql, limit_usd) in [(Allowance::OfKey, of_key, key_daily_usd), (Allowance::OfAll, of_all, daily_usd)] {
+            let Some(limit_usd) = limit_usd else { continue };
+            let spent = sqlx::query_scalar(sql).bind(day);
+            let spent = if whose == Allowance::OfKey { spent.bind(key_id) } else { spent };
+            let spent: f64 = spent.fetch_one(&mut *tx).await?;
+            let left_usd = limit_usd - spent;
+            if left_usd <= 0.0 || usd > left_usd {
+                tx.forget().await?;
+                return Ok(Err(Short { whose, limit_usd, left_usd: left_usd.max(0.0) }));
+            }
+        }
         let sql = "INSERT INTO reservations (id, day, usd, key_id, member) VALUES ($1, $2, $3, $4, $5)";
-        let query = sqlx::query(sql).bind(id).bind(day).bind(usd).bind(key_id).bind(&*self.members.id());
-        query.execute(self.writer.pool()).await?;
-        Ok(())
+        let query = sqlx::query(sql).bind(id).bind(day).bind(usd).bind(key_id).bind(self.members.id().to_string());
+        query.execute(&mut *tx).await?;
+        tx.commit().await?;
+        Ok(Ok(()))
     }
 
     /// Notes what a call has cost in place of what was put aside for it.

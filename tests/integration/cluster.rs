@@ -23,6 +23,10 @@ fn may_have_company(data: &Utf8Path) -> bool {
     may
 }
 
+fn new_key() -> NewKey {
+    NewKey { name: "robot".into(), scope: Scope::Admin, expires_at: None, requests_per_minute: None, max_scenes: None, daily_usd: None }
+}
+
 async fn server(data: &Utf8Path, role: Role) -> (RunningService, Client) {
     let running = app::start(&ServeConfig { role, ..config(data) }).await.unwrap();
     let client = Client::new(&format!("http://{}", running.address), None).unwrap();
@@ -99,15 +103,7 @@ async fn servers_agree_and_workers_work() {
     assert_eq!(problem(a.ground(&scene, &ask("the red sofa")).await).status, 404);
 
     // The first key locks every door, soon; one that is revoked opens none.
-    let new = NewKey {
-        name: "robot".into(),
-        scope: Scope::Admin,
-        expires_at: None,
-        requests_per_minute: None,
-        max_scenes: None,
-        daily_usd: None,
-    };
-    let key = a.create_key(&new).await.unwrap();
+    let key = a.create_key(&new_key()).await.unwrap();
     let with_key = |running: &RunningService| Client::new(&format!("http://{}", running.address), Some(key.secret.clone())).unwrap();
     let (a_with, b_with) = (with_key(&first), with_key(&second));
     until("the key is wanted everywhere", async || {
@@ -152,6 +148,33 @@ async fn the_job_of_one_who_is_gone_goes_on_elsewhere() {
     assert_eq!((done.state, done.attempts), (JobState::Succeeded, 2));
     other.stop().await.unwrap();
     api.stop().await.unwrap();
+}
+
+/// A key's requests are counted wherever they come to.
+#[tokio::test]
+async fn a_rate_holds_at_all_servers_together() {
+    let place = tempfile::tempdir().unwrap();
+    let data = Utf8Path::from_path(place.path()).unwrap();
+    if !may_have_company(data) {
+        return;
+    }
+    let (first, a) = server(data, Role::Api).await;
+    let (second, b) = server(data, Role::Api).await;
+    let mut new = new_key();
+    new.requests_per_minute = Some(6);
+    let secret = a.create_key(&new).await.unwrap().secret;
+    until("the key is wanted everywhere", async || b.scenes(1, None).await.is_err()).await;
+    let with_key = |running: &RunningService| format!("http://{}/v1/scenes", running.address);
+    let mut told = Vec::new();
+    for at in [&first, &second, &first, &second, &first, &second, &first, &second] {
+        let reply = reqwest::Client::new().get(with_key(at)).bearer_auth(&secret).send().await.unwrap();
+        told.push((reply.status().as_u16(), reply.headers()["ratelimit"].to_str().unwrap().to_owned()));
+    }
+    let (statuses, left): (Vec<u16>, Vec<String>) = told.into_iter().unzip();
+    assert_eq!(statuses, [200, 200, 200, 200, 200, 200, 429, 429], "{left:?}");
+    assert!(left[0].contains("r=5;t=10") && left[5].contains("r=0;t=60"), "{left:?}");
+    first.stop().await.unwrap();
+    second.stop().await.unwrap();
 }
 
 async fn until(what: &str, is_so: impl AsyncFn() -> bool) {

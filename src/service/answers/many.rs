@@ -93,7 +93,7 @@ impl Service {
         // Each of them is a question of its own; one was counted when it came.
         if let Some(key) = &caller.key {
             for _ in answers.iter().skip(1) {
-                let _ = key.count();
+                let _ = self.keys.count(key).await;
             }
         }
         let standing_of = |found: &SceneAnswer| standing(found.answer.status, found.answer.confidence);

@@ -93,10 +93,7 @@ impl Service {
         };
         // A place among those who wait for the model, for as long as the question takes.
         let _place = reviewer.as_ref().map(|vlm| vlm.place()).transpose()?;
-        let mut budgets = match &self.vlm {
-            Some(vlm) => vlm.budgets(&asker.caller, request.max_cost_usd).await?,
-            None => Vec::new(),
-        };
+        let mut budgets = Vlm::budgets(request.max_cost_usd);
         budgets.extend(asker.pays);
         let asks_model = reviewer.is_some() || request.parser == ParserChoice::Vlm;
         let ask = self.ask(&request, &asker.caller, reviewer, &budgets)?;

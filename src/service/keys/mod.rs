@@ -96,11 +96,11 @@ impl KnownKey {
         Arc::new(Self { row, limit, noted: Mutex::default() })
     }
 
-    /// Counts a request. `None`: it may come as often as it likes.
+    /// Counts a request of this process. `None`: it may come as often as it likes.
     ///
     /// # Errors
     /// How long it has to wait, seconds, and what it may.
-    pub fn count(&self) -> Result<Option<Allowance>, (u64, Allowance)> {
+    fn count(&self) -> Result<Option<Allowance>, (u64, Allowance)> {
         let Some(limit) = &self.limit else { return Ok(None) };
         let per_minute = self.row.requests_per_minute.unwrap_or(1);
         let whole = |wait: Duration| wait.as_secs() + u64::from(wait.subsec_nanos() > 0);
@@ -220,6 +220,34 @@ impl Keyring {
         match key.refusal(Timestamp::now()) {
             Some(denied) => Err(denied),
             None => Ok(Caller { scope: key.row.scope, key: Some(key) }),
+        }
+    }
+
+    /// Counts a request of a key, whichever process it came to. `None`: it may come as often as it likes.
+    ///
+    /// # Errors
+    /// How long it has to wait, seconds, and what it may.
+    pub async fn count(&self, key: &KnownKey) -> Result<Option<Allowance>, (u64, Allowance)> {
+        let Some(here) = key.count()? else { return Ok(None) };
+        if !self.store.is_shared() {
+            return Ok(Some(here));
+        }
+        let per_minute = here.per_minute;
+        let whole = |seconds: f64| seconds.ceil().max(0.0) as u64;
+        match self.store.count_request(&key.row.id, per_minute).await {
+            Ok(Ok(until_full_s)) => {
+                let left = ((1.0 - until_full_s / 60.0) * f64::from(per_minute) + 0.001).max(0.0) as u32;
+                Ok(Some(Allowance { per_minute, left, reset_s: whole(until_full_s) }))
+            }
+            Ok(Err(wait_s)) => {
+                let wait_s = whole(wait_s).max(1);
+                Err((wait_s, Allowance { per_minute, left: 0, reset_s: wait_s }))
+            }
+            // What this process has counted holds all the same.
+            Err(error) => {
+                tracing::warn!(error = &error as &dyn std::error::Error, "requests to other processes are not counted now");
+                Ok(Some(here))
+            }
         }
     }
 

@@ -173,7 +173,7 @@ impl Service {
         let mut names = BTreeMap::new();
         if let Some((sheet, shown)) = sheet {
             let model = vlm.model_for(caller);
-            let mut session = Session::new(model.as_ref(), vlm.budgets(caller, None).await?, 1);
+            let mut session = Session::new(model.as_ref(), Vlm::budgets(None), 1);
             names = naming::read(&session.ask("naming", naming::request(sheet, &shown)).await?, &shown);
             names.extend(ids.iter().filter(|id| !shown.contains(&id.0)).map(|id| (id.0, String::new())));
         }

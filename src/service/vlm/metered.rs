@@ -1,15 +1,17 @@
 //! Calls of the model, written down before they are made and counted when they end.
 
 use super::circuit::{Circuit, Sign};
-use super::today;
+use super::{OF_EVERYBODY, OF_KEY, today};
 use crate::metrics::Metrics;
-use crate::store::Store;
+use crate::service::Caller;
+use crate::service::keys::KnownKey;
+use crate::store::{Allowance, Short, Store, Wish};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tracing::{Instrument, field};
-use uniground_core::models::chat::{ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, Prices};
+use uniground_core::models::chat::{ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget, Prices};
 use uniground_core::models::with_causes;
 
 /// What may come of a call.
@@ -31,7 +33,7 @@ fn outcome_of(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
             ChatError::Undecodable(_) => UNREADABLE,
             ChatError::NotRecorded(_) | ChatError::ReplayCache(_) => "not_recorded",
             ChatError::NotRecordable(_) => "not_recordable",
-            ChatError::Down { .. } => NOT_ASKED,
+            ChatError::Down { .. } | ChatError::OverBudget(_) => NOT_ASKED,
         },
     }
 }
@@ -44,7 +46,11 @@ fn sign_of(answered: &Result<ChatReply, ChatFailure>) -> Option<Sign> {
             ChatError::Transport(_) => Some(Sign::Gone),
             ChatError::Refused { status: 429 | 500..=599, .. } => Some(Sign::Failing),
             ChatError::Refused { .. } | ChatError::Undecodable(_) => Some(Sign::Unclear),
-            ChatError::NotRecorded(_) | ChatError::ReplayCache(_) | ChatError::NotRecordable(_) | ChatError::Down { .. } => None,
+            ChatError::NotRecorded(_)
+            | ChatError::ReplayCache(_)
+            | ChatError::NotRecordable(_)
+            | ChatError::Down { .. }
+            | ChatError::OverBudget(_) => None,
         },
     }
 }
@@ -57,19 +63,21 @@ pub struct Metered {
     store: Store,
     metrics: Arc<Metrics>,
     circuit: Arc<Circuit>,
+    /// Most that may be spent in a day (UTC), US dollars.
+    daily_usd: Option<f64>,
     /// Whose calls they are.
-    key_id: Option<String>,
+    key: Option<Arc<KnownKey>>,
 }
 
 impl Metered {
-    pub fn new(model: Arc<dyn ChatModel>, store: Store, metrics: Arc<Metrics>) -> Self {
+    pub fn new(model: Arc<dyn ChatModel>, daily_usd: Option<f64>, store: Store, metrics: Arc<Metrics>) -> Self {
         metrics.vlm.knows(&[ANSWERED, REFUSED, UNREACHABLE, UNREADABLE, NOT_ASKED]);
-        Self { model, store, metrics, circuit: Arc::default(), key_id: None }
+        Self { model, store, metrics, circuit: Arc::default(), daily_usd, key: None }
     }
 
     /// The same for somebody: what calls cost is written down for them, too.
-    pub fn of(&self, key_id: Option<&str>) -> Self {
-        Self { key_id: key_id.map(str::to_owned), ..self.clone() }
+    pub fn of(&self, caller: &Caller) -> Self {
+        Self { key: caller.key.clone(), ..self.clone() }
     }
 
     /// Whether its server is there.
@@ -79,7 +87,8 @@ impl Metered {
 
     async fn ask_paid(&self, request: &ChatRequest) -> Result<ChatReply, ChatFailure> {
         let prices = self.model.prices();
-        if !prices.are_known() {
+        let key_daily_usd = self.key.as_ref().and_then(|key| key.row.daily_usd);
+        if !prices.are_known() && self.daily_usd.is_none() && key_daily_usd.is_none() {
             return self.model.ask(request).await;
         }
         let thought_usd = prices.thought_usd(request);
@@ -87,11 +96,16 @@ impl Metered {
         // has asked it all the same.
         let mut call = Call { store: self.store.clone(), open: Some((self.store.new_id(), 0.0)) };
         let id = call.open.as_ref().map_or("", |(id, _)| id);
-        let reserved = self.store.reserve_spending(id, &today(), thought_usd, self.key_id.as_deref()).await;
-        reserved.map_err(|error| {
-            let error = ChatError::NotRecordable(with_causes(&error));
-            ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 }
-        })?;
+        let (day, key_id) = (today(), self.key.as_ref().map(|key| &*key.row.id));
+        let wish = Wish { day: &day, usd: thought_usd, key_id, daily_usd: self.daily_usd, key_daily_usd };
+        let never_asked = |error| ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 };
+        let reserved = self.store.reserve_spending(id, &wish).await;
+        let reserved = reserved.map_err(|error| never_asked(ChatError::NotRecordable(with_causes(&error))))?;
+        if let Err(Short { whose, limit_usd, left_usd }) = reserved {
+            let of = if whose == Allowance::OfKey { OF_KEY } else { OF_EVERYBODY };
+            call.open = None;
+            return Err(never_asked(OverBudget { of, limit_usd, left_usd, wanted_usd: thought_usd }.into()));
+        }
         call.open = call.open.take().map(|(id, _)| (id, thought_usd));
         let outcome = self.model.ask(request).await;
         call.open = call.open.take().map(|(id, _)| (id, prices.paid_usd(request, &outcome)));
@@ -125,6 +139,10 @@ impl ChatModel for Metered {
             let mut counted = Counted { metered: self, start: Instant::now(), thought_usd: Some(self.prices().thought_usd(request)) };
             let answered = self.ask_paid(request).instrument(span.clone()).await;
             counted.thought_usd = None;
+            if let Err(ChatFailure { error: ChatError::OverBudget(_), .. }) = &answered {
+                self.circuit.left();
+                return answered;
+            }
             let (attempts, usd) = match &answered {
                 Ok(reply) => {
                     self.metrics.vlm.counted(reply.prompt_tokens, reply.completion_tokens);

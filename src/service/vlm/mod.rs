@@ -8,8 +8,7 @@ use crate::error::Error;
 use crate::metrics::Metrics;
 use crate::store::{Store, now};
 use metered::Metered;
-use std::collections::HashMap;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 use std::time::Instant;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use uniground_core::models::chat::{Budget, ChatModel, Prices};
@@ -21,16 +20,6 @@ pub struct Vlm {
     settings: VlmSettings,
     /// Questions that wait for the model; more are told to come back.
     places: Arc<Semaphore>,
-    /// By key; of no key: everybody together.
-    today: Mutex<HashMap<String, Today>>,
-}
-
-/// What may be spent on one day.
-#[derive(Clone)]
-struct Today {
-    /// Its date, UTC.
-    day: String,
-    budget: Budget,
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -58,6 +47,7 @@ pub enum WhenNamed {
 /// Whose budgets there are, in messages.
 pub(super) const OF_QUESTION: &str = "this question";
 pub(super) const OF_KEY: &str = "this key today";
+const OF_EVERYBODY: &str = "today";
 
 /// Questions that may wait for the model at once.
 const MAX_WAITING: usize = 256;
@@ -65,8 +55,8 @@ const MAX_WAITING: usize = 256;
 impl Vlm {
     #[must_use]
     pub fn new(model: Arc<dyn ChatModel>, settings: VlmSettings, store: Store, metrics: Arc<Metrics>) -> Self {
-        let model = Metered::new(model, store.clone(), metrics);
-        Self { model, store, settings, places: Arc::new(Semaphore::new(MAX_WAITING)), today: Mutex::default() }
+        let model = Metered::new(model, settings.daily_usd, store.clone(), metrics);
+        Self { model, store, settings, places: Arc::new(Semaphore::new(MAX_WAITING)) }
     }
 
     /// Its server was looked at and can not be reached: nobody has to find out.
@@ -84,7 +74,7 @@ impl Vlm {
 
     /// The model, asked for somebody.
     pub(super) fn model_for(&self, caller: &Caller) -> Arc<dyn ChatModel> {
-        Arc::new(self.model.of(caller.key_id()))
+        Arc::new(self.model.of(caller))
     }
 
     /// Whether the model answered when it was asked last; else since when it has not.
@@ -117,44 +107,12 @@ impl Vlm {
 
     /// US dollars, calls under way left out.
     pub(super) async fn spent_today_usd(&self) -> Result<f64, Error> {
-        Ok(self.budget_of_everybody().await?.spent_usd())
+        Ok(self.store.spent_on(&today()).await?)
     }
 
-    /// What pays for a question: its own budget, where it has one, that of who asks, and the day's.
-    pub(super) async fn budgets(&self, caller: &Caller, of_question: Option<f64>) -> Result<Vec<Budget>, Error> {
-        let mut budgets: Vec<Budget> = of_question.map(|usd| Budget::new(OF_QUESTION, usd)).into_iter().collect();
-        if let Some(key) = &caller.key
-            && let Some(usd) = key.row.daily_usd
-        {
-            budgets.push(self.budget_of_today(Some(&key.row.id), OF_KEY, usd).await?);
-        }
-        budgets.push(self.budget_of_everybody().await?);
-        Ok(budgets)
-    }
-
-    async fn budget_of_everybody(&self) -> Result<Budget, Error> {
-        self.budget_of_today(None, "today", self.settings.daily_usd.unwrap_or(f64::INFINITY)).await
-    }
-
-    async fn budget_of_today(&self, key_id: Option<&str>, of: &'static str, usd: f64) -> Result<Budget, Error> {
-        let (day, who) = (today(), key_id.unwrap_or_default());
-        if let Some(budget) = self.known_budget(who, &day) {
-            return Ok(budget);
-        }
-        let spent = match key_id {
-            Some(key_id) => self.store.spent_by_key(key_id, &day).await?,
-            None => self.store.spent_on(&day).await?,
-        };
-        let budget = Budget::new(of, usd).with_spent(spent);
-        let mut budgets = self.today.lock().unwrap_or_else(PoisonError::into_inner);
-        budgets.retain(|_, of| of.day >= day);
-        // Somebody may have been faster.
-        Ok(budgets.entry(who.to_owned()).or_insert(Today { day, budget }).budget.clone())
-    }
-
-    fn known_budget(&self, who: &str, day: &str) -> Option<Budget> {
-        let budgets = self.today.lock().unwrap_or_else(PoisonError::into_inner);
-        budgets.get(who).filter(|of| of.day == day).map(|of| of.budget.clone())
+    /// What pays for a question of its own. The day's money, everybody's and a key's, is looked at with every call: all processes share it.
+    pub(super) fn budgets(of_question: Option<f64>) -> Vec<Budget> {
+        of_question.map(|usd| Budget::new(OF_QUESTION, usd)).into_iter().collect()
     }
 }
 

@@ -26,6 +26,7 @@ use super::data_folder::sync_folder;
 use camino::{Utf8Path, Utf8PathBuf};
 use std::fs;
 use std::io;
+use std::time::Duration;
 use tokio::task::spawn_blocking;
 use uuid::Uuid;
 
@@ -89,13 +90,18 @@ impl Blobs {
         self.hands == Hands::Free
     }
 
-    /// What an earlier server left under `tmp/`, to be removed when it is dropped.
-    pub(super) fn left_behind(&self) -> io::Result<Vec<Scratch>> {
-        let entries = self
-            .tmp
-            .read_dir_utf8()?
-            .map(|entry| Ok(Scratch { path: entry?.into_path(), tmp: self.tmp.clone() }));
-        entries.collect()
+    /// What processes that are gone left under `tmp/`, to be removed when it is dropped: what has not changed for so long.
+    pub(super) fn left_behind(&self, unchanged: Duration) -> io::Result<Vec<Scratch>> {
+        let mut left = Vec::new();
+        for entry in self.tmp.read_dir_utf8()? {
+            let entry = entry?;
+            // Gone meanwhile, or from tomorrow: in somebody's hands.
+            let age = entry.metadata().and_then(|m| m.modified()).ok().and_then(|at| at.elapsed().ok());
+            if unchanged.is_zero() || age.is_some_and(|age| age >= unchanged) {
+                left.push(Scratch { path: entry.into_path(), tmp: self.tmp.clone() });
+            }
+        }
+        Ok(left)
     }
 
     /// Folders of a kind, by name. What is no folder is none of ours and passed over.
@@ -346,7 +352,7 @@ mod tests {
         let content = blobs.content("deep");
         fs::rename(&top, &content).unwrap();
         drop(blobs.take_away(&content).unwrap());
-        assert!(!content.exists() && blobs.left_behind().unwrap().is_empty());
+        assert!(!content.exists() && blobs.left_behind(Duration::ZERO).unwrap().is_empty());
     }
 
     #[test]

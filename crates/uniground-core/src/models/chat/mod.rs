@@ -94,6 +94,9 @@ pub enum ChatError {
     NotRecordable(String),
     #[error("the model's server is down and is not asked: it is tried again in {again_in_s} s")]
     Down { again_in_s: u64 },
+    /// By money that others spend from as well, so that only the model's keeper knows what is left.
+    #[error(transparent)]
+    OverBudget(#[from] OverBudget),
 }
 
 /// A question that got no answer, and what was done for it.

@@ -1,7 +1,7 @@
 //! The calls of one question: counted, paid for, remembered.
 
 use super::budget::Reservation;
-use super::{Budget, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget};
+use super::{Budget, ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget};
 
 /// One call: what was asked, and what came of it.
 #[derive(Debug, Clone, PartialEq)]
@@ -94,7 +94,14 @@ impl<'a> Session<'a> {
         let reservations = self.budgets.iter().map(|budget| budget.reserve(thought)).collect::<Result<Vec<_>, _>>()?;
         // Who leaves while the model thinks has asked it all the same.
         let mut sent = Sent { reservations, thought };
-        let answered = self.model.ask(&request).await;
+        let answered = match self.model.ask(&request).await {
+            // As if one of ours had refused it: nothing was asked.
+            Err(ChatFailure { error: ChatError::OverBudget(over), .. }) => {
+                sent.settle(0.0);
+                return Err(over.into());
+            }
+            answered => answered,
+        };
         let (attempts, latency_ms) = match &answered {
             Ok(reply) => (reply.attempts, reply.latency_ms),
             Err(failure) => (failure.attempts, failure.latency_ms),
