@@ -108,7 +108,7 @@ impl From<Error> for Refused {
             Error::Overloaded | Error::TooMany { .. } | Error::UploadBusy { .. } => problem.retry_after_s = Some(1),
             Error::VlmDown { again_in_s } => problem.retry_after_s = u32::try_from(again_in_s).ok(),
             _ if status == StatusCode::SERVICE_UNAVAILABLE => problem.retry_after_s = Some(2),
-            Error::Jobs(JobsError::QueueFull { .. }) => problem.retry_after_s = Some(10),
+            Error::Jobs(JobsError::QueueFull { again_in_s, .. }) => problem.retry_after_s = Some(again_in_s),
             _ => {}
         }
         Self(problem)

@@ -25,7 +25,7 @@ impl Followed {
 
 /// Whether two looks at a job tell a caller the same.
 fn is_same(a: &Job, b: &Job) -> bool {
-    let told = |job: &Job| (job.attempts, job.state, job.stage.clone(), (job.progress * 1000.0) as i32);
+    let told = |job: &Job| (job.attempts, job.state, job.ahead, job.stage.clone(), (job.progress * 1000.0) as i32);
     told(a) == told(b)
 }
 

@@ -509,8 +509,26 @@ mod tests {
         for _ in 0..10 {
             submit(&jobs, "this").await;
         }
-        assert!(matches!(jobs.submit::<Obedient>("s", &String::new(), None).await, Err(JobsError::QueueFull { queued: 10 })));
+        assert!(matches!(
+            jobs.submit::<Obedient>("s", &String::new(), None).await,
+            Err(JobsError::QueueFull { queued: 10, .. })
+        ));
         jobs.submit::<Slow>("s", &(), None).await.unwrap();
+    }
+
+    /// Who fills the queue leaves a place to who has none in it; the last one who waits is told how many are before him.
+    #[tokio::test]
+    async fn one_key_does_not_fill_the_queue() {
+        let folder = tempfile::tempdir().unwrap();
+        let jobs = queue(&folder).await;
+        let ask = async |key| jobs.submit::<Obedient>("s", &String::new(), Some(key)).await;
+        for _ in 0..9 {
+            ask("many").await.unwrap();
+        }
+        assert!(matches!(ask("many").await, Err(JobsError::QueueFull { queued: 9, again_in_s: 120 })));
+        let last = ask("few").await.unwrap().id;
+        assert_eq!(jobs.get(&last).await.unwrap().ahead, Some(9));
+        assert!(matches!(ask("few").await, Err(JobsError::QueueFull { queued: 10, .. })));
     }
 
     /// Its task is taken away, as a panic would.

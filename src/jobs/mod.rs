@@ -54,6 +54,7 @@ fn job_of(row: JobRow, now: Timestamp) -> Job {
         kind,
         subject,
         state,
+        ahead: None,
         stage,
         progress,
         eta_s,

@@ -3,10 +3,11 @@
 use super::followed::Followed;
 use super::{Job, JobKind, JobList, job_of};
 use crate::metrics::Metrics;
-use crate::store::{JobFilter, JobRow, JobState, NewJob, Store, StoreError, page};
+use crate::store::{JobFilter, JobRow, JobState, NewJob, Queued, Store, StoreError, page};
 use jiff::Timestamp;
 use std::collections::{BTreeMap, HashMap};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
 
@@ -14,11 +15,18 @@ use tokio_util::sync::CancellationToken;
 pub enum JobsError {
     #[error("there is no job {id}")]
     NotFound { id: String },
-    #[error("{queued} jobs are waiting already; try again later")]
-    QueueFull { queued: u32 },
+    #[error("{queued} jobs are waiting already; try again in about {again_in_s} s")]
+    QueueFull { queued: u32, again_in_s: u32 },
     #[error(transparent)]
     Store(#[from] StoreError),
 }
+
+/// How jobs went is told by those of so long.
+const LATELY: Duration = Duration::from_mins(10);
+/// Nobody who finds a queue full is told to come again sooner than that, seconds,
+const SOONEST_S: u32 = 2;
+/// or later.
+const LATEST_S: u32 = 120;
 
 /// Where a running job stands.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
@@ -104,7 +112,7 @@ impl Jobs {
     /// # Errors
     /// [`JobsError::QueueFull`] when too many of its kind wait already.
     pub async fn submit<K: JobKind>(&self, subject: &str, payload: &K::Payload, key_id: Option<&str>) -> Result<Job, JobsError> {
-        self.check_room::<K>().await?;
+        self.check_room::<K>(key_id).await?;
         let payload = serde_json::to_string(payload).map_err(StoreError::from)?;
         let row = self
             .store
@@ -113,13 +121,21 @@ impl Jobs {
         Ok(self.recorded::<K>(row))
     }
 
-    /// Whether another job of this kind may be queued.
+    /// Whether another job of this kind may be queued for somebody. Of keys, those that have few in the queue find the last tenth of all places
+    /// free: who brings many keeps out nobody.
     ///
     /// # Errors
-    /// [`JobsError::QueueFull`].
-    pub async fn check_room<K: JobKind>(&self) -> Result<(), JobsError> {
-        let queued = self.store.queued_jobs(K::NAME).await?;
-        if queued >= self.max_queued { Err(JobsError::QueueFull { queued }) } else { Ok(()) }
+    /// [`JobsError::QueueFull`], with the time until one more is done, by how it went lately.
+    pub async fn check_room<K: JobKind>(&self, key_id: Option<&str>) -> Result<(), JobsError> {
+        let Queued { all: queued, of_key } = self.store.queued_jobs(K::NAME, key_id).await?;
+        let tenth = self.max_queued / 10;
+        let kept_free = if key_id.is_some() && of_key >= tenth { tenth } else { 0 };
+        if queued < self.max_queued - kept_free {
+            return Ok(());
+        }
+        let done = self.store.done_lately(K::NAME, LATELY).await?;
+        let again_in_s = u32::try_from(LATELY.as_secs()).unwrap_or(u32::MAX) / done.max(1);
+        Err(JobsError::QueueFull { queued, again_in_s: again_in_s.clamp(SOONEST_S, LATEST_S) })
     }
 
     /// Asks every job on a subject to stop.
@@ -150,7 +166,11 @@ impl Jobs {
     /// [`JobsError::NotFound`].
     pub async fn get(&self, id: &str) -> Result<Job, JobsError> {
         let row = self.store.job(id).await?.ok_or_else(|| JobsError::NotFound { id: id.into() })?;
-        Ok(self.as_it_stands(row))
+        let ahead = match row.state {
+            JobState::Queued => Some(self.store.jobs_ahead(&row.kind, id).await?),
+            _ => None,
+        };
+        Ok(Job { ahead, ..self.as_it_stands(row) })
     }
 
     /// Jobs as they stand, newest first, those before `cursor` (an id) only.

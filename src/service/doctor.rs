@@ -126,7 +126,7 @@ impl Service {
     /// # Errors
     /// [`Error::Store`].
     pub async fn waiting_parses(&self) -> Result<u32, Error> {
-        Ok(self.store.queued_jobs(ParseJob::NAME).await?)
+        Ok(self.store.queued_jobs(ParseJob::NAME, None).await?.all)
     }
 }
 

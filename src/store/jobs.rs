@@ -93,6 +93,14 @@ pub struct JobFilter {
     pub subject: Option<String>,
 }
 
+/// Jobs that wait.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Queued {
+    pub all: u32,
+    /// Of these, one key's.
+    pub of_key: u32,
+}
+
 /// A job about to be recorded.
 pub struct NewJob<'a> {
     pub kind: &'a str,
@@ -180,11 +188,35 @@ impl Store {
         which.first("id DESC", limit, &self.reader).await
     }
 
+    /// Jobs of a kind that wait.
+    ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn queued_jobs(&self, kind: &str) -> Result<u32, StoreError> {
-        let queued = sqlx::query_scalar("SELECT count(*) FROM jobs WHERE kind = $1 AND state = 'queued'").bind(kind);
-        Ok(number(queued.fetch_one(&self.reader).await?)?)
+    pub async fn queued_jobs(&self, kind: &str, key_id: Option<&str>) -> Result<Queued, StoreError> {
+        let sql = "SELECT count(*), coalesce(sum(CASE WHEN key_id IS NOT DISTINCT FROM $2 THEN 1 ELSE 0 END), 0) FROM jobs
+                   WHERE kind = $1 AND state = 'queued'";
+        let (all, of_key): (i64, i64) = sqlx::query_as(sql).bind(kind).bind(key_id).fetch_one(&self.reader).await?;
+        Ok(Queued { all: number(all)?, of_key: number(of_key)? })
+    }
+
+    /// Jobs of a kind that wait and were asked for before another.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn jobs_ahead(&self, kind: &str, id: &str) -> Result<u32, StoreError> {
+        let sql = "SELECT count(*) FROM jobs WHERE kind = $1 AND state = 'queued' AND id < $2";
+        Ok(number(sqlx::query_scalar(sql).bind(kind).bind(id).fetch_one(&self.reader).await?)?)
+    }
+
+    /// How many jobs of a kind were done lately: those asked for within `lately` that have come to their end since then.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn done_lately(&self, kind: &str, lately: Duration) -> Result<u32, StoreError> {
+        let since = Timestamp::now().checked_sub(lately).unwrap_or(Timestamp::MIN);
+        let sql = "SELECT count(*) FROM jobs WHERE kind = $1 AND state IN ('succeeded', 'failed') AND id >= $2 AND attempts > 0";
+        let done = sqlx::query_scalar(sql).bind(kind).bind(Self::first_id_at(since)).fetch_one(&self.reader);
+        Ok(number(done.await?)?)
     }
 
     /// Takes a queued job of a kind that is due: of the key whose last turn is longest ago, so that nobody waits behind all jobs of one

@@ -40,7 +40,7 @@ pub use database::{Location, PostgresUrl};
 pub use figures::{Figures, JobFigures};
 pub use growth::{Continued, Grew, Growth};
 pub use health::StoreHealth;
-pub use jobs::{Hold, JobFilter, JobRow, JobState, NewJob, Recovery};
+pub use jobs::{Hold, JobFilter, JobRow, JobState, NewJob, Queued, Recovery};
 pub use keys::KeyRow;
 pub use members::{Company, LEASE, Turn};
 pub use news::{News, Newsroom};

@@ -67,6 +67,10 @@ pub struct Job {
     pub subject: String,
     /// Where it stands.
     pub state: JobState,
+    /// While it waits, and where one job is asked for: how many of its kind were asked for before it and wait as well. Keys take turns, so
+    /// one with few jobs waits for fewer.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ahead: Option<u32>,
     /// Step it is in.
     pub stage: Option<String>,
     /// `0..=1`.

@@ -76,7 +76,7 @@ impl Service {
     /// As [`pause_batch`](Self::pause_batch); a full queue.
     pub async fn resume_batch(&self, id: &str) -> Result<Batch, Error> {
         let row = self.batch_row(id).await?;
-        self.jobs.check_room::<BatchJob>().await?;
+        self.jobs.check_room::<BatchJob>(row.key_id.as_deref()).await?;
         let payload = serde_json::to_string(&Payload { batch_id: id.to_owned() })?;
         let job = NewJob { kind: BatchJob::NAME, payload: &payload, key_id: row.key_id.as_deref(), done: None };
         match self.store.resume_batch(id, &job).await? {

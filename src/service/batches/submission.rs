@@ -203,7 +203,7 @@ impl Service {
             None
         } else {
             self.check_disk(0)?;
-            self.jobs.check_room::<BatchJob>().await?;
+            self.jobs.check_room::<BatchJob>(caller.key_id()).await?;
             let Submission { label, concurrency, max_cost_usd, .. } = &submission;
             let new = NewBatch { label: label.as_deref(), concurrency: *concurrency, max_cost_usd: *max_cost_usd, key_id: caller.key_id() };
             Some(self.store.insert_batch(new).await?)

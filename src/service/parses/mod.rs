@@ -49,7 +49,7 @@ impl Service {
         let wanted = self.wanted_parse(&scene.id, &scene.content_hash, settings, caller).await?;
         if wanted.stored.is_none() {
             self.check_disk(0)?;
-            self.jobs.check_room::<ParseJob>().await?;
+            self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
         }
         let row = self.store.insert_scene_job(&scene.id, wanted.job()).await?;
         let row = row.ok_or_else(|| Error::SceneNotFound { id: scene.id })?;

@@ -58,7 +58,7 @@ impl Service {
             None => Some(SourceToScene::IDENTITY),
         };
         self.check_disk(announced_bytes)?;
-        self.jobs.check_room::<ParseJob>().await?;
+        self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
         let received = self.receive(body, file_name.as_deref().unwrap_or_default()).await?;
         drop(place);
         let key = idempotency_key.map(|key| caller.own(key));

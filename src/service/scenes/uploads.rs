@@ -143,7 +143,7 @@ impl Service {
             self.check_disk(announced_bytes)?;
             self.check_quota(caller).await?;
             if parse.is_some() {
-                self.jobs.check_room::<ParseJob>().await?;
+                self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
             }
         }
         let file_name = file_name.or_else(|| name.clone()).unwrap_or_default();
@@ -200,7 +200,7 @@ impl Service {
             None => None,
         };
         if wanted.as_ref().is_some_and(|wanted| wanted.stored.is_none()) {
-            self.jobs.check_room::<ParseJob>().await?;
+            self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
         }
         let inserted = self.store.insert_scene(NewSceneRow {
             id: &id,

@@ -51,7 +51,7 @@ impl Service {
             check_name("/name", name)?;
         }
         if wanted.parse {
-            self.jobs.check_room::<ParseJob>().await?;
+            self.jobs.check_room::<ParseJob>(caller.key_id()).await?;
         }
         // With nobody beside: several at once must not come to more.
         let _beginning = self.beginning_uploads().await?;
