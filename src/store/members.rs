@@ -27,6 +27,8 @@ const HANDOVER: Duration = Duration::from_secs(5);
 const CLEARING: Duration = Duration::from_mins(1);
 /// How often a member says that it is there. One whose session is gone and that has missed three of these is forgotten.
 const BEAT: Duration = Duration::from_secs(2);
+/// How long those who were there a moment ago may need to be back after the database was away.
+const COMING_BACK: Duration = Duration::from_secs(5);
 /// Longer than that the session's server is not waited for.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// How long a member may not be seen until what it is at work on is given to others.
@@ -107,9 +109,17 @@ impl Membership {
         let options = AnyConnectOptions::from_str(url.with_password())?;
         let mut connection = options.connect().await?;
         let begun = Instant::now();
+        let mut waited = false;
         let was_alone = loop {
             if locked(&mut connection, "pg_try_advisory_lock", MEMBERS).await? {
-                break true;
+                if waited || !were_here_lately(&mut connection).await? {
+                    break true;
+                }
+                // Killed, or on their way back to a database that was away itself.
+                locked(&mut connection, "pg_advisory_unlock", MEMBERS).await?;
+                sleep(COMING_BACK).await;
+                waited = true;
+                continue;
             }
             if company == Company::Welcome && locked(&mut connection, "pg_try_advisory_lock_shared", MEMBERS).await? {
                 break false;
@@ -334,6 +344,18 @@ impl Drop for SharedTurn {
             }
         });
     }
+}
+
+/// Whether somebody was seen a moment ago who has not left. Before the first member there is no such table.
+async fn were_here_lately(connection: &mut AnyConnection) -> Result<bool, StoreError> {
+    let is_there: bool = sqlx::query_scalar("SELECT to_regclass('members') IS NOT NULL").fetch_one(&mut *connection).await?;
+    if !is_there {
+        return Ok(false);
+    }
+    let sql = format!("SELECT count(*) FROM members WHERE seen_at > {} - $1", Engine::Postgres.clock());
+    let here = sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind((BEAT * 3).as_secs_f64());
+    let here: i64 = here.fetch_one(connection).await?;
+    Ok(here > 0)
 }
 
 async fn connect_again(options: &AnyConnectOptions) -> Result<AnyConnection, StoreError> {
