@@ -99,6 +99,10 @@ const TURN: Duration = Duration::from_secs(2);
 const READERS_TURN: Duration = Duration::from_secs(30);
 /// No statement of PostgreSQL's takes longer.
 const STATEMENT_TIMEOUT: Duration = Duration::from_secs(30);
+/// A transaction that does nothing for so long is undone: its process hangs, and all that write wait for it.
+const IDLE_IN_TRANSACTION: Duration = Duration::from_secs(5);
+/// A machine that vanished is noticed by the server within half a minute.
+pub(super) const KEEPALIVES: &str = "SET tcp_keepalives_idle = 10; SET tcp_keepalives_interval = 5; SET tcp_keepalives_count = 3";
 const READERS: u32 = 4;
 /// Connections to PostgreSQL that write at once; of transactions there is one at a time.
 const WRITERS: u32 = 8;
@@ -133,7 +137,11 @@ impl Connections {
     pub async fn to_server(url: &PostgresUrl) -> Result<Self, StoreError> {
         install_default_drivers();
         let options = AnyConnectOptions::from_str(url.with_password())?;
-        let settings = format!("SET statement_timeout = {}; SET client_min_messages = warning", STATEMENT_TIMEOUT.as_millis());
+        let settings = format!(
+            "SET statement_timeout = {}; SET idle_in_transaction_session_timeout = {}; SET client_min_messages = warning; {KEEPALIVES}",
+            STATEMENT_TIMEOUT.as_millis(),
+            IDLE_IN_TRANSACTION.as_millis()
+        );
         let writer = pool(WRITERS, TURN, settings.clone()).connect_with(options.clone()).await?;
         let reader = pool(READERS, TURN, settings).connect_lazy_with(options);
         Ok(Self { engine: Engine::Postgres, reader, writer })

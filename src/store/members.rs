@@ -6,12 +6,12 @@
 //! What it was at work on is others' from then on: it finds itself forgotten before it can write anything down, and joins anew under another id.
 
 use super::StoreError;
-use super::database::{Engine, Location};
+use super::database::{Engine, KEEPALIVES, Location};
 use super::turns::{LocalTurn, LocalTurns};
 use super::writer::Writer;
 use sha2::{Digest, Sha256};
 use sqlx::any::{AnyConnectOptions, install_default_drivers};
-use sqlx::{AnyConnection, ConnectOptions, Connection};
+use sqlx::{AnyConnection, ConnectOptions, Connection, Executor};
 use std::str::FromStr;
 use std::sync::atomic::AtomicU64;
 use std::sync::atomic::Ordering::Relaxed;
@@ -107,7 +107,7 @@ impl Membership {
         };
         install_default_drivers();
         let options = AnyConnectOptions::from_str(url.with_password())?;
-        let mut connection = options.connect().await?;
+        let mut connection = connect(&options).await?;
         let begun = Instant::now();
         let mut waited = false;
         let was_alone = loop {
@@ -346,6 +346,12 @@ impl Drop for SharedTurn {
     }
 }
 
+async fn connect(options: &AnyConnectOptions) -> Result<AnyConnection, StoreError> {
+    let mut connection = options.connect().await?;
+    connection.execute(KEEPALIVES).await?;
+    Ok(connection)
+}
+
 /// Whether somebody was seen a moment ago who has not left. Before the first member there is no such table.
 async fn were_here_lately(connection: &mut AnyConnection) -> Result<bool, StoreError> {
     let is_there: bool = sqlx::query_scalar("SELECT to_regclass('members') IS NOT NULL").fetch_one(&mut *connection).await?;
@@ -359,7 +365,7 @@ async fn were_here_lately(connection: &mut AnyConnection) -> Result<bool, StoreE
 }
 
 async fn connect_again(options: &AnyConnectOptions) -> Result<AnyConnection, StoreError> {
-    let mut connection = options.connect().await?;
+    let mut connection = connect(options).await?;
     match locked(&mut connection, "pg_try_advisory_lock_shared", MEMBERS).await? {
         true => Ok(connection),
         false => Err(StoreError::DatabaseInUse),
