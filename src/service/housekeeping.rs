@@ -16,9 +16,9 @@ impl Service {
     /// # Errors
     /// [`Error`] of the store; what was done stays done.
     pub async fn keep_house(&self) -> Result<(), Error> {
-        // One process does it for all.
-        let Some(_turn) = self.keeping_house().await? else { return Ok(()) };
         self.store.clear_beside_others().await?;
+        // One process does the rest for all.
+        let Some(_turn) = self.keeping_house().await? else { return Ok(()) };
         self.let_go(Beside::TheServer).await?;
         // One that was retired is known to be damaged, and kept for its answers only.
         for parse in self.store.all_parses().await?.iter().filter(|parse| !parse.is_retired()) {
