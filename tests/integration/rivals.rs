@@ -1,13 +1,13 @@
 //! Things that happen at the same time, or in an awkward order.
 
 use crate::archives::Scan;
-use crate::server::{Process, TestServer, command, finished, problem};
+use crate::server::{Process, TestServer, command, finished, location, problem};
 use camino::Utf8Path;
 use futures::future::join_all;
 use reqwest::Method;
 use serde_json::json;
 use uniground::config::LimitsConfig;
-use uniground::store::JobState;
+use uniground::store::{JobState, Location};
 use uniground_core::geometry::up_axis::UpAxis;
 
 #[tokio::test]
@@ -37,6 +37,10 @@ async fn an_upload_refused_for_a_full_queue_leaves_no_scene() {
 async fn a_second_server_on_the_same_folder_is_refused() {
     let data = tempfile::tempdir().unwrap();
     let data = Utf8Path::from_path(data.path()).unwrap();
+    if matches!(location(data), Location::Postgres(_)) {
+        eprintln!("left out: of PostgreSQL's databases several are members (cluster.rs)");
+        return;
+    }
     let first = Process::start(data);
     let second = command(data, "127.0.0.1:0").output().unwrap();
     let message = String::from_utf8_lossy(&second.stderr);
