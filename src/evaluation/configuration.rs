@@ -96,7 +96,7 @@ const MAX_CELLS: usize = 1000;
 /// Every combination of the values in `matrix` over `base`, in the order written; the last axis turns fastest.
 ///
 /// # Errors
-/// An unknown axis or value, with what there is; an axis given twice; too many cells.
+/// An unknown axis or value, with what there is; an axis given twice; too many cells; a reader that would read like another.
 pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, Configuration)>> {
     let mut cells = vec![(String::new(), base.clone())];
     let mut seen: Vec<&str> = Vec::new();
@@ -119,6 +119,10 @@ pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, 
             }
         }
         cells = varied;
+    }
+    for (name, configuration) in &cells {
+        let asks_nobody = configuration.parser == ParserChoice::Auto && configuration.reasoner == ReasonerChoice::Builtin;
+        ensure!(!asks_nobody, "{name}: parser=auto asks no model where reasoner=builtin decides; say parser=builtin or parser=vlm");
     }
     if let [(name, _)] = cells.as_mut_slice()
         && name.is_empty()
@@ -163,7 +167,7 @@ fn set(configuration: &mut Configuration, axis: &str, value: &str) -> anyhow::Re
         "query_text" => configuration.query_text = word(axis, value, "full, target, mean")?,
         "prompt" => configuration.prompt = word(axis, value, "paper, revised")?,
         "preset" => configuration.preset = word(axis, value, "default, paper")?,
-        "parser" => configuration.parser = word(axis, value, "builtin, vlm")?,
+        "parser" => configuration.parser = word(axis, value, "auto, builtin, vlm")?,
         "reasoner" => configuration.reasoner = word(axis, value, "auto, builtin, vlm")?,
         "ablation" => configuration.ablation = word(axis, value, "full, no_global, no_candidate, simple_prompt")?,
         "evidence" => configuration.evidence = word(axis, value, "full, cached_names, sheet, two_step")?,
@@ -237,6 +241,7 @@ mod tests {
             ("top_k=3;top_k=5", "given twice"),
             ("source=", "has no values"),
             ("encoder=builtin,auto", "must say what it was measured with"),
+            ("parser=auto", "asks no model where reasoner=builtin decides"),
             ("parsing.merging.max_hop=9", "max_hop: must be 1 to 4"),
             ("parsing.merge.max_hop=1", "unknown field `merge`"),
         ] {

@@ -2,6 +2,7 @@
 
 use crate::script::{Script, Scripted, fails, says};
 use crate::server::{TestServer, ask};
+use crate::vlm::six_lines;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::{Value, json};
 use std::fs;
@@ -160,6 +161,67 @@ async fn the_service_reads_with_the_model_and_falls_back_to_the_grammar() {
         Err(ClientError::Problem(problem)) => assert_eq!((problem.code.as_str(), problem.status), ("vlm_not_configured", 409)),
         other => panic!("{other:?}"),
     }
+    server.stop().await;
+}
+
+/// Left to itself the service reads by the grammar, and by the model where the grammar is in doubt and a model decides as well.
+#[tokio::test]
+async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
+    let script = Script::default();
+    let url = script.serve(vec![reads_mug()]).await;
+    let vlm = VlmConfig {
+        vlm_url: Some(url),
+        vlm_model: Some("scripted".into()),
+        vlm_prompt_usd: 2.0,
+        vlm_completion_usd: 8.0,
+        ..VlmConfig::default()
+    };
+    let server = TestServer::start_configured(LimitsConfig::default(), vlm).await;
+    let scene = server
+        .parsed(fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/examples/living_room.zip")).unwrap())
+        .await;
+    let asked = async |request: GroundRequest| {
+        let before = script.calls();
+        let answer = server.client.ground(&scene.id, &request).await.unwrap();
+        (answer, script.calls() - before)
+    };
+    let builtin = |query: &str| GroundRequest { reasoner: ReasonerChoice::Builtin, ..ask(query) };
+    let (plain, calls) = asked(builtin("the mug on the coffee table")).await;
+    assert_eq!(calls, 0);
+    let mug = plain.answer.predicted_id.unwrap();
+    let decides = || six_lines(mug, "", true, 1);
+
+    // Every word is understood: the model decides and does not read.
+    script.next(vec![decides()]);
+    let (answer, calls) = asked(ask("the mug on the coffee table")).await;
+    assert!(calls == 1 && answer.models.parser.starts_with("builtin"), "{:?}", answer.models);
+
+    // In no language the grammar reads: the model reads first.
+    let doubtful = "der Becher auf dem Couchtisch";
+    script.next(vec![reads_mug(), decides()]);
+    let (answer, calls) = asked(ask(doubtful)).await;
+    let purposes: Vec<String> = answer.trace.as_ref().unwrap().calls.iter().map(|call| call.purpose.clone()).collect();
+    assert!(calls == 2 && purposes == ["parse", "spatial"], "{purposes:?}");
+    assert!(answer.models.parser.starts_with("scripted") && answer.parsed_query.target == "mug", "{:?}", answer.parsed_query);
+    assert_eq!((answer.answer.predicted_id, answer.degraded), (Some(mug), false));
+
+    // What it says of the question is of no use: the grammar's reading stands, and no more is said than why.
+    let mumbled = "the mug that frobnicates";
+    script.next(vec![says("I would rather not."), decides()]);
+    let (answer, calls) = asked(ask(mumbled)).await;
+    let corrections = answer.trace.unwrap().corrections;
+    assert!(calls == 2 && !answer.degraded && answer.models.parser.starts_with("builtin"), "{corrections:?}");
+    assert!(corrections.len() == 1 && corrections[0].contains("frobnicates"), "{corrections:?}");
+
+    // Who wants no model to decide, no money spent, or the grammar to read, gets none to read.
+    let unpaid = GroundRequest { max_cost_usd: Some(0.0), ..ask(doubtful) };
+    for request in [builtin(doubtful), unpaid] {
+        let (answer, calls) = asked(request).await;
+        assert_eq!((calls, answer.usage.vlm_calls, answer.degraded), (0, 0, false));
+    }
+    script.next(vec![decides()]);
+    let (answer, calls) = asked(GroundRequest { parser: ParserChoice::Builtin, ..ask(mumbled) }).await;
+    assert!(calls == 1 && answer.models.parser.starts_with("builtin"), "{:?}", answer.models);
     server.stop().await;
 }
 

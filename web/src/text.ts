@@ -202,7 +202,7 @@ export const t = {
     evidence: "The model is shown",
     evidences: { full: "photographs of each", cached_names: "names, few photographs", sheet: "contact sheets", two_step: "sheets, then photographs" },
     parser: "Who reads",
-    parsers: { builtin: "grammar", vlm: "the model" },
+    parsers: { auto: "grammar; the model where it is in doubt", builtin: "grammar", vlm: "the model" },
     cost: "At most, US dollars",
     observer: "Observer",
     place: "Place in the room",

@@ -26,7 +26,7 @@ pub enum ReasonerChoice {
     Auto,
     /// The configured vision-language model; where it can not be asked, the request fails.
     Vlm,
-    /// Geometry, names and appearance: no call, no cost.
+    /// Geometry, names and appearance: no call, no cost, unless a model is to read (`parser`).
     Builtin,
 }
 
@@ -35,11 +35,25 @@ pub enum ReasonerChoice {
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 #[serde(rename_all = "snake_case")]
 pub enum ParserChoice {
-    /// Grammar and lexicon: no call, no cost.
+    /// Grammar and lexicon; where they did not understand all of it and a model is configured, one call to that. Never a call where the
+    /// built-in reasoner is asked to decide; the grammar's reading stands where the model can not be asked, told in the trace.
     #[default]
+    Auto,
+    /// Grammar and lexicon: no call, no cost.
     Builtin,
     /// One call to the configured model; the grammar where its answer can not be used, told in the trace.
     Vlm,
+}
+
+impl ParserChoice {
+    /// Who reads where `reasoner` decides: who wants no model to decide gets none to read, unless they ask for one.
+    #[must_use]
+    pub fn beside(self, reasoner: ReasonerChoice) -> Self {
+        match (self, reasoner) {
+            (Self::Auto, ReasonerChoice::Builtin) => Self::Builtin,
+            (choice, _) => choice,
+        }
+    }
 }
 
 /// Parts of an answer that can be left out of the reply.
@@ -189,7 +203,8 @@ pub struct GroundRequest {
     #[serde(default = "default_top_k")]
     #[cfg_attr(feature = "openapi", schema(minimum = 1, maximum = 100, default = 5))]
     pub top_k: u32,
-    /// Who reads the question.
+    /// Who reads the question. `auto`, which it is when left out: the grammar, and the configured model where the grammar's reading leaves
+    /// something open; never the model where `reasoner` is `builtin`.
     #[serde(default)]
     pub parser: ParserChoice,
     /// Who decides.

@@ -23,7 +23,7 @@ use tokio::runtime::Runtime;
 use uniground_core::geometry::boxes::Aabb;
 use uniground_core::grounding::album::{Album, AlbumScene};
 use uniground_core::grounding::pipeline::{self, Answered, Ask, Review, WithoutModel, shortlist_of};
-use uniground_core::grounding::query::{BuiltinParser, QueryParser, VlmParser};
+use uniground_core::grounding::query::{AutoParser, BuiltinParser, QueryParser, VlmParser};
 use uniground_core::grounding::vlm::Options;
 use uniground_core::grounding::{Question, ShortlistScoring};
 use uniground_core::ingest::{self, Unpacked};
@@ -306,9 +306,11 @@ impl LocalScene {
 /// The question pipeline, as a configuration wants it. A call of a model that failed is no answer of the configuration: it is told, counted
 /// as wrong, and asked again next time.
 fn answer(source: &Arc<AlbumScene>, vlm: Option<&Reviewer>, question: Question, configuration: &Configuration) -> anyhow::Result<Answered> {
-    let parser: Arc<dyn QueryParser> = match (vlm, configuration.parser) {
-        (Some(vlm), ParserChoice::Vlm) => Arc::new(VlmParser { model: vlm.model.clone(), budgets: vlm.budgets.clone() }),
-        _ => Arc::new(BuiltinParser),
+    let model = vlm.map(|vlm| VlmParser { model: vlm.model.clone(), budgets: vlm.budgets.clone() });
+    let parser: Arc<dyn QueryParser> = match (configuration.parser.beside(configuration.reasoner), model) {
+        (ParserChoice::Vlm, Some(model)) => Arc::new(model),
+        (ParserChoice::Auto, Some(model)) => Arc::new(AutoParser(model)),
+        (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),
     };
     let review = vlm.filter(|_| configuration.reasoner != ReasonerChoice::Builtin).map(|vlm| Review {
         model: vlm.model.clone(),

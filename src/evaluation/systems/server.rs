@@ -139,8 +139,12 @@ impl OpenScene for RemoteScene {
             let start = Instant::now();
             let answer = self.client.ground(&self.id, &request).await?;
             let latency_ms = start.elapsed().as_secs_f64() * 1e3;
-            let fell_back = answer.trace.as_ref().and_then(|trace| trace.corrections.first());
-            if let Some(why) = fell_back.filter(|_| *parser == ParserChoice::Vlm && answer.usage.vlm_calls == 0) {
+            let trace = answer.trace.as_ref();
+            let reading = trace.and_then(|trace| trace.calls.iter().find(|call| call.purpose == "parse"));
+            let unread = reading.and_then(|call| call.error.as_ref());
+            let fell_back = trace.and_then(|trace| trace.corrections.first());
+            let fell_back = fell_back.filter(|_| *parser == ParserChoice::Vlm && answer.usage.vlm_calls == 0);
+            if let Some(why) = fell_back.or(unread) {
                 bail!("the model could not be asked: {why}");
             }
             let shortlist = self.client.shortlist(&self.id, &shortlist).await?;

@@ -22,7 +22,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::time::timeout;
 use uniground_core::grounding::pipeline::{self, Answered, Ask, Review, Shortlist, WithoutModel};
-use uniground_core::grounding::query::{BuiltinParser, QueryParser, VlmParser};
+use uniground_core::grounding::query::{AutoParser, BuiltinParser, QueryParser, VlmParser};
 use uniground_core::grounding::reasoner::builtin;
 use uniground_core::grounding::vlm::Options;
 use uniground_core::grounding::{Grounding, Question, ShortlistScoring, Status};
@@ -204,12 +204,13 @@ impl Service {
     /// A request as the pipeline takes it.
     fn ask(&self, request: &GroundRequest, caller: &Caller, reviewer: Option<Arc<Vlm>>, budgets: &[Budget]) -> Result<Ask, Error> {
         // The grammar reads where nothing may be spent.
-        let parser: Arc<dyn QueryParser> = match (request.parser, &self.vlm) {
-            (ParserChoice::Vlm, None) => return Err(Error::VlmNotConfigured),
-            (ParserChoice::Vlm, Some(vlm)) if !self.is_unpaid(request, caller) => {
-                Arc::new(VlmParser { model: vlm.model_for(caller), budgets: budgets.to_vec() })
-            }
-            _ => Arc::new(BuiltinParser),
+        let model = self.vlm.as_ref().filter(|_| !self.is_unpaid(request, caller));
+        let model = model.map(|vlm| VlmParser { model: vlm.model_for(caller), budgets: budgets.to_vec() });
+        let parser: Arc<dyn QueryParser> = match (request.parser.beside(request.reasoner), model) {
+            (ParserChoice::Vlm, _) if self.vlm.is_none() => return Err(Error::VlmNotConfigured),
+            (ParserChoice::Vlm, Some(model)) => Arc::new(model),
+            (ParserChoice::Auto, Some(model)) => Arc::new(AutoParser(model)),
+            (ParserChoice::Builtin, _) | (_, None) => Arc::new(BuiltinParser),
         };
         let without_model = if request.reasoner == ReasonerChoice::Vlm { WithoutModel::Fail } else { WithoutModel::BuiltIn };
         let review = reviewer.map(|vlm| Review {

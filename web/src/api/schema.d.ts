@@ -1958,7 +1958,10 @@ export interface components {
              */
             min_confidence?: number | null;
             observer?: components["schemas"]["Observer"] | null;
-            /** @description Who reads the question. */
+            /**
+             * @description Who reads the question. `auto`, which it is when left out: the grammar, and the configured model where the grammar's reading leaves
+             *     something open; never the model where `reasoner` is `builtin`.
+             */
             parser?: components["schemas"]["ParserChoice"];
             /** @description What a vision-language model is told. */
             prompt?: components["schemas"]["PromptVersion"];
@@ -2734,7 +2737,7 @@ export interface components {
          * @description Who reads the question.
          * @enum {string}
          */
-        ParserChoice: "builtin" | "vlm";
+        ParserChoice: "auto" | "builtin" | "vlm";
         /** @description What stage 1 did, for people who want to know what went wrong. */
         ParseReport: {
             /**

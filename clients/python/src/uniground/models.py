@@ -56,7 +56,7 @@ Normalisation = Literal["normalised", "literal"]
 """How Eq. (1) averages over frames."""
 ParsePreset = Literal["default", "paper"]
 """Where settings start from; given settings then replace single values."""
-ParserChoice = Literal["builtin", "vlm"]
+ParserChoice = Literal["auto", "builtin", "vlm"]
 """Who reads the question."""
 PartChoice = Literal["configured", "builtin"]
 """Who does a part of the work."""
@@ -352,7 +352,9 @@ class BatchItemOptions(TypedDict, total=False):
     `frame` names.
     """
     parser: ParserChoice
-    """Who reads the question."""
+    """Who reads the question. `auto`, which it is when left out: the grammar, and the configured model where the grammar's reading leaves
+    something open; never the model where `reasoner` is `builtin`.
+    """
     prompt: PromptVersion
     """What a vision-language model is told."""
     query_text: QueryText
@@ -785,7 +787,9 @@ class GroundOptions(TypedDict, total=False):
     `frame` names.
     """
     parser: ParserChoice
-    """Who reads the question."""
+    """Who reads the question. `auto`, which it is when left out: the grammar, and the configured model where the grammar's reading leaves
+    something open; never the model where `reasoner` is `builtin`.
+    """
     prompt: PromptVersion
     """What a vision-language model is told."""
     query_text: QueryText

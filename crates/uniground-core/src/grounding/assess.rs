@@ -11,7 +11,7 @@ use super::SceneView;
 use super::direction::Directions;
 use super::fit::{colours_fit, most_plausible, noun_fits, trait_fits};
 use super::query::{ME, Meaning, Phrase, Relation, RelationKind, zones};
-use super::relations::{self, Room};
+use super::relations::{self, Room, SeenBy};
 use super::solid::Solid;
 use crate::geometry::boxes::OrientedBox;
 use crate::geometry::statistics::largest;
@@ -185,8 +185,7 @@ impl<'a> Assessor<'a> {
         if let [a, ..] = *anchors
             && kind.is_a_side()
         {
-            let front = || *self.fronts[a].get_or_init(|| relations::own_front(&self.solids[a], self.room()));
-            return relations::at_side(kind, &self.solids[target], &self.solids[a], &self.directions, self.room(), front);
+            return self.at_side(kind, target, a).0;
         }
         // At most two anchors count. Slices on the stack: this runs once for every pair.
         match *anchors {
@@ -194,6 +193,14 @@ impl<'a> Assessor<'a> {
             [a] => score(&[&self.solids[a]]),
             [] => score(&[]),
         }
+    }
+
+    /// How well a thing stands at a side of another, and by whose view.
+    #[must_use]
+    pub fn at_side(&self, kind: RelationKind, target: usize, anchor: usize) -> (f32, SeenBy) {
+        let (target, of) = (&self.solids[target], &self.solids[anchor]);
+        let front = || *self.fronts[anchor].get_or_init(|| relations::own_front(of, self.room()));
+        relations::at_side(kind, target, of, &self.directions, self.room(), front)
     }
 
     /// For every instance as target: its best anchors and how well the relation holds.

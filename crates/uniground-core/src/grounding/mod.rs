@@ -156,9 +156,8 @@ fn decided<'a>(scene: SceneView<'a>, question: &Question, mut parsed: query::Par
     if let Some(observer) = &question.observer {
         assessor.observer =
             Some(Aabb { center: observer.position.map(|v| v as f32).into(), size: crate::geometry::Vector3::zeros() }.into());
-        let by_me = |r: &query::Relation| r.anchors.iter().any(|a| a.head == query::ME);
-        let texts: Vec<String> = parsed.target.relations.iter().filter(|r| by_me(r)).map(|r| r.text.clone()).collect();
-        parsed.not_understood.retain(|word| word != query::ME && !texts.contains(word));
+        let of_me = parsed.of_me();
+        parsed.not_understood.retain(|word| !of_me.contains(word));
     }
     let prepared = start.elapsed();
     let verdict = reasoner::builtin::decide(&mut assessor, &parsed);

@@ -8,7 +8,7 @@
 //! from, and on which threads computing happens, is the business of a [`SceneSource`].
 
 use super::appearance::{Appearance, ShortlistScoring};
-use super::query::{BuiltinParser, ParsedQuery, QueryParser, parse};
+use super::query::{BuiltinParser, FellBack, ParsedQuery, QueryParser, Reading, parse};
 use super::reasoner::builtin;
 pub use super::scene_source::{QuestionError, SceneSource};
 use super::unlisted::{Found, look_up};
@@ -81,7 +81,8 @@ pub struct Answered {
     pub encoder: String,
     /// Name and version of who decided: the built-in reasoner, or the model with its prompt.
     pub reasoner: String,
-    /// A built-in part took the place of a model that could not be used, or that never chose a candidate; `corrections` says why.
+    /// A built-in part took the place of a model that was counted on and could not be used, or that never chose a candidate; `corrections`
+    /// says why.
     pub degraded: bool,
     /// What went wrong on the way, in order.
     pub corrections: Vec<String>,
@@ -97,18 +98,18 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     let Ask { question, parser, without_parser, allow_builtin_encoder, review } = ask;
     let least = question.min_confidence;
     let start = Instant::now();
-    let reading = parser.read(&question.query).await;
-    let (mut parser_name, mut corrections) = (parser.name(), Vec::new());
-    if let Some(why) = reading.fell_back {
+    let Reading { parsed, by, mut calls, fell_back } = parser.read(&question.query).await;
+    let (mut corrections, mut degraded) = (Vec::new(), false);
+    if let Some(FellBack { why, was_demanded }) = fell_back {
         // A model that said something nobody can use was asked all the same.
-        let was_asked = reading.calls.iter().any(|call| call.outcome.is_ok());
+        let was_asked = calls.iter().any(|call| call.outcome.is_ok());
         if without_parser == WithoutModel::Fail && !was_asked {
             return Err(QuestionError::Unread(why).into());
         }
-        parser_name = BuiltinParser.name();
         corrections.push(format!("the built-in parser read the question: {why}"));
+        degraded = was_demanded;
     }
-    let (mut calls, parsed, took) = (reading.calls, reading.parsed, start.elapsed());
+    let took = start.elapsed();
 
     let with_review = review.is_some();
     let decide = (question, parsed.clone());
@@ -127,14 +128,15 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
         .await?;
     if let Some(why) = used.missing {
         corrections.push(format!("names and measures answered, not the encoder: {why}"));
+        degraded = true;
     }
     let mut answered = Answered {
         grounding,
         parsed,
-        parser: parser_name,
+        parser: by,
         encoder: used.name,
         reasoner: builtin::NAME.into(),
-        degraded: !corrections.is_empty(),
+        degraded,
         corrections,
         calls: Vec::new(),
     };

@@ -47,14 +47,23 @@ pub fn score(kind: RelationKind, target: &Solid, anchors: &[&Solid], directions:
         (RelationKind::AgainstWall, _) => against_wall(target, room),
         (RelationKind::InCorner, _) => in_corner(target, room),
         (RelationKind::InMiddle, _) => in_middle(target, room),
-        (kind, [anchor, ..]) if kind.is_a_side() => at_side(kind, target, anchor, directions, room, || own_front(anchor, room)),
+        (kind, [anchor, ..]) if kind.is_a_side() => at_side(kind, target, anchor, directions, room, || own_front(anchor, room)).0,
         (_, [anchor, ..]) => pairwise(kind, target, anchor),
         (_, []) => 0.0,
     }
 }
 
-/// Score of `target` at a side of the anchor; `front` tells the anchor's own front (unit, horizontal), and is asked only where nobody's view
-/// is meant.
+/// Whose left, right, front and back a side was told by.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum SeenBy {
+    /// The directions in force: somebody's whom the words or the request tell of, or the convention's.
+    Directions,
+    /// Somebody who faces the anchor.
+    WhoFacesIt,
+}
+
+/// Score of `target` at a side of the anchor, and by whose view; `front` tells the anchor's own front (unit, horizontal), and is asked only
+/// where nobody's view is meant.
 #[must_use]
 pub fn at_side(
     kind: RelationKind,
@@ -63,7 +72,7 @@ pub fn at_side(
     directions: &Directions,
     room: &Room,
     front: impl Fn() -> Option<Vector3<f32>>,
-) -> f32 {
+) -> (f32, SeenBy) {
     let side = |directions: &Directions| match kind {
         RelationKind::LeftOf => -directions.right,
         RelationKind::RightOf => directions.right,
@@ -72,7 +81,7 @@ pub fn at_side(
     };
     let viewed = beside(target, anchor, &side(directions));
     if directions.of_somebody {
-        return viewed;
+        return (viewed, SeenBy::Directions);
     }
     // What stands against a wall has a front of its own. In the open, nobody tells from where: people look from the middle of the room.
     let own = front();
@@ -80,10 +89,11 @@ pub fn at_side(
     let faced = ahead
         .and_then(Directions::looking_along)
         .map_or(0.0, |directions| beside(target, anchor, &side(&directions)));
-    match kind {
-        RelationKind::InFrontOf | RelationKind::Behind if own.is_some() => faced.max(AGAINST_OWN_FRONT * viewed),
-        _ => viewed.max(FROM_THE_MIDDLE * faced),
-    }
+    let (viewed, faced) = match kind {
+        RelationKind::InFrontOf | RelationKind::Behind if own.is_some() => (AGAINST_OWN_FRONT * viewed, faced),
+        _ => (viewed, FROM_THE_MIDDLE * faced),
+    };
+    if faced > viewed { (faced, SeenBy::WhoFacesIt) } else { (viewed, SeenBy::Directions) }
 }
 
 /// Score of `target` standing in a relation to somebody whose directions these are: what is in front of them lies ahead.

@@ -5,7 +5,7 @@ use crate::geometry::boxes::Aabb;
 use crate::geometry::{Isometry3, Point3};
 use crate::grounding::Status;
 use crate::grounding::album::{Album, AlbumScene};
-use crate::grounding::query::VlmParser;
+use crate::grounding::query::{AutoParser, VlmParser};
 use crate::models::attributes::tests::thing;
 use crate::models::chat::{ChatError, ChatFailure, ChatReply, ChatRequest, Part, Prices};
 use crate::models::neural::tests::tiny_encoder;
@@ -133,6 +133,42 @@ fn a_model_that_can_not_be_asked_is_replaced_or_told() {
     let parser = Arc::new(VlmParser { model, budgets: Vec::new() });
     let misread = Ask { parser, without_parser: WithoutModel::Fail, ..Ask::of(Question::of(QUERY)) };
     assert!(block_on(answer(&room(), misread)).unwrap().degraded);
+}
+
+const READS_A_CHAIR: &str =
+    r#"{"target": {"noun": "chair", "relations": [{"kind": "near", "words": "by", "anchors": [{"noun": "table"}]}]}}"#;
+
+/// "perched" means nothing to the grammar: whoever reads by themselves where they can wants help with it.
+#[test]
+fn a_model_reads_what_the_grammar_is_in_doubt_about() {
+    let asked = |query: &str, replies: &[Option<&'static str>], without_parser| {
+        let model = Scripted::new(replies);
+        let parser = Arc::new(AutoParser(VlmParser { model: model.clone(), budgets: Vec::new() }));
+        let ask = Ask { parser, without_parser, ..Ask::of(Question::of(query)) };
+        (block_on(answer(&room(), ask)), model.asked())
+    };
+    let (plain, calls) = asked(QUERY, &[None], WithoutModel::Fail);
+    assert_eq!((plain.unwrap().parser, calls), ("builtin-3".to_owned(), 0));
+
+    let doubtful = "the chair perched by the table";
+    let (read, calls) = asked(doubtful, &[Some(READS_A_CHAIR)], WithoutModel::BuiltIn);
+    let read = read.unwrap();
+    assert!(calls == 1 && read.parser.starts_with("scripted") && read.parsed.not_understood.is_empty(), "{read:?}");
+    assert!(read.corrections.is_empty() && !read.degraded, "{read:?}");
+
+    // Nobody was promised a model: what the grammar read stands, and that is told.
+    for reply in [None, Some("no JSON")] {
+        let (stood, calls) = asked(doubtful, &[reply], WithoutModel::BuiltIn);
+        let stood = stood.unwrap();
+        assert!(calls == 1 && stood.parser == "builtin-3" && !stood.degraded, "{stood:?}");
+        assert!(stood.corrections.len() == 1 && stood.corrections[0].contains("not understood: perched"), "{stood:?}");
+    }
+    // How many are asked for is no part of what a model says.
+    let (counted, _) = asked("how many chairs are perched by the table", &[Some(READS_A_CHAIR)], WithoutModel::BuiltIn);
+    assert_eq!(counted.unwrap().grounding.count, Some(1));
+    // A measurement wants to know.
+    let (failed, _) = asked(doubtful, &[None], WithoutModel::Fail);
+    assert!(matches!(failed, Err(QuestionError::Unread(_))), "{failed:?}");
 }
 
 /// The room with a photograph that an encoder has seen, without having seen the things.

@@ -183,6 +183,13 @@ fn names_a_purpose(words: &[&str], opener: usize) -> bool {
     !is_thing(words[opener - 1]) || words[opener..].iter().take(SOON).any(|word| is_purpose(word))
 }
 
+/// The words of a purpose that none of the uses found for it is said with: of "put a toddler for lunch", "put on" says the first only.
+pub(super) fn unsaid<'a>(uses: &[String], purpose: &'a [String]) -> Vec<&'a String> {
+    let wordings = || uses.iter().filter_map(|spoken| WORDINGS.get(spoken.as_str())).flatten();
+    let is_said = |word: &&String| words::is_known(word) || wordings().any(|wording| wording.needed.contains(&stem(word)));
+    purpose.iter().filter(|word| !is_said(word)).collect()
+}
+
 /// Whether some use is said with this verb.
 pub(super) fn is_verb_of_a_use(word: &str) -> bool {
     let stem = stem(word);
@@ -246,6 +253,19 @@ mod tests {
             let tokens = tokens(query);
             let found = find(&tokens).unwrap_or_else(|| panic!("{query}"));
             assert_eq!((found.uses.join("|").as_str(), tokens[found.taken..].join(" ").as_str()), (spoken, rest), "{query}");
+        }
+    }
+
+    #[test]
+    fn a_purpose_may_be_said_in_part() {
+        for (query, left) in [
+            ("something to sit on", ""),
+            ("what you would drink water from", ""),
+            ("something to sit on for walruses", "walruses"),
+        ] {
+            let found = find(&tokens(query)).unwrap();
+            let unsaid: Vec<&str> = unsaid(&found.uses, &found.words).into_iter().map(String::as_str).collect();
+            assert_eq!(unsaid.join(" "), left, "{query}");
         }
     }
 

@@ -1,10 +1,11 @@
 //! Questions in plain words to a [`ParsedQuery`]: target, attributes, anchors, relations (docs/METHOD.md, section 3).
 //!
 //! Built in: a tokeniser that knows the lexicon and a grammar of noun phrases joined by relation words. English only. A chat model
-//! may read instead ([`VlmParser`]): one call, checked, with the grammar to fall back on.
+//! may read instead ([`VlmParser`], or [`AutoParser`] where the grammar is in [`Doubt`]): one call, checked, with the grammar to fall back on.
 
 mod affordances;
 mod corrections;
+mod doubt;
 mod grammar;
 mod languages;
 mod observers;
@@ -21,8 +22,9 @@ pub(super) mod zones;
 use crate::geometry::colour::ColourName;
 use crate::models::attributes::{Lexicon, Noun};
 use crate::scene::Structure;
+pub use doubt::Doubt;
 pub use grammar::parse;
-pub use parsers::{BuiltinParser, QueryParser, Reading, VlmParser};
+pub use parsers::{AutoParser, BuiltinParser, FellBack, QueryParser, Reading, VlmParser};
 pub use relation_kinds::RelationKind;
 
 /// A query, understood as far as the words go. Every word is used, is filler, or is listed in `not_understood`.

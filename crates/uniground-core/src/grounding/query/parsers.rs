@@ -1,4 +1,4 @@
-//! Who reads queries: the built-in grammar, or a vision-language model.
+//! Who reads queries: the built-in grammar, a chat model, or the one where the other is in doubt.
 
 use super::{ParsedQuery, parse, vlm};
 use crate::models::chat::{Budget, CallRecord, ChatModel, Session};
@@ -7,21 +7,38 @@ use futures::future::BoxFuture;
 use std::sync::Arc;
 
 /// A query, read.
-#[derive(Debug, Clone, Default, PartialEq)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct Reading {
-    /// What the query says, by the model or, where it could not be used, by the grammar.
+    /// What the query says, by the model or, where it was not wanted or could not be used, by the grammar.
     pub parsed: ParsedQuery,
+    /// Name and version of who read it, recorded with answers.
+    pub by: String,
     /// The calls it took.
     pub calls: Vec<CallRecord>,
-    /// Why the built-in grammar had to step in, if so.
-    pub fell_back: Option<String>,
+    /// Why the grammar has read where a model was wanted, if so.
+    pub fell_back: Option<FellBack>,
 }
+
+/// A model was wanted as a reader and could not be used.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FellBack {
+    /// What was wrong, in words.
+    pub why: String,
+    /// The model was to read whatever comes: the answer is less than what was asked for.
+    pub was_demanded: bool,
+}
+
+impl Reading {
+    fn by_grammar(parsed: ParsedQuery) -> Self {
+        Self { parsed, by: GRAMMAR.into(), calls: Vec::new(), fell_back: None }
+    }
+}
+
+/// Name and version of the built-in grammar.
+const GRAMMAR: &str = "builtin-3";
 
 /// Reads queries. Never fails: what a model can not read the grammar does.
 pub trait QueryParser: Send + Sync {
-    /// Name and version, recorded with answers.
-    fn name(&self) -> String;
-
     /// Reads one query, given in plain words.
     fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading>;
 }
@@ -31,12 +48,8 @@ pub trait QueryParser: Send + Sync {
 pub struct BuiltinParser;
 
 impl QueryParser for BuiltinParser {
-    fn name(&self) -> String {
-        "builtin-3".into()
-    }
-
     fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading> {
-        std::future::ready(Reading { parsed: parse(query), ..Reading::default() }).boxed()
+        std::future::ready(Reading::by_grammar(parse(query))).boxed()
     }
 }
 
@@ -49,23 +62,46 @@ pub struct VlmParser {
     pub budgets: Vec<Budget>,
 }
 
-impl QueryParser for VlmParser {
-    fn name(&self) -> String {
-        format!("{} (prompt {})", self.model.name(), vlm::PROMPT_VERSION)
+impl VlmParser {
+    /// Asks the model; where it can not be used, the grammar's reading stands. How many are asked for the grammar knows best.
+    async fn ask(&self, query: &str, grammar: ParsedQuery) -> Reading {
+        let mut session = Session::new(self.model.as_ref(), self.budgets.clone(), 1);
+        let read = match session.ask("parse", vlm::request(query)).await {
+            Ok(text) => vlm::decode(&text),
+            Err(error) => Err(error.to_string()),
+        };
+        let calls = session.into_records();
+        match read {
+            Ok(parsed) => {
+                let by = format!("{} (prompt {})", self.model.name(), vlm::PROMPT_VERSION);
+                Reading { parsed: ParsedQuery { quantity: grammar.quantity, ..parsed }, by, calls, fell_back: None }
+            }
+            Err(why) => Reading { calls, fell_back: Some(FellBack { why, was_demanded: true }), ..Reading::by_grammar(grammar) },
+        }
     }
+}
 
+impl QueryParser for VlmParser {
+    fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading> {
+        self.ask(query, parse(query)).boxed()
+    }
+}
+
+/// The grammar, and a chat model where the grammar is in [doubt](ParsedQuery::doubt). Where the model can not be used then, the grammar's
+/// reading is what there is.
+#[derive(Clone)]
+pub struct AutoParser(pub VlmParser);
+
+impl QueryParser for AutoParser {
     fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading> {
         async move {
-            let mut session = Session::new(self.model.as_ref(), self.budgets.clone(), 1);
-            let read = match session.ask("parse", vlm::request(query)).await {
-                Ok(text) => vlm::decode(&text),
-                Err(error) => Err(error.to_string()),
-            };
-            let calls = session.into_records();
-            match read {
-                Ok(parsed) => Reading { parsed, calls, fell_back: None },
-                Err(why) => Reading { parsed: parse(query), calls, fell_back: Some(why) },
+            let parsed = parse(query);
+            let Some(doubt) = parsed.doubt() else { return Reading::by_grammar(parsed) };
+            let mut reading = self.0.ask(query, parsed).await;
+            if let Some(FellBack { why, was_demanded }) = &mut reading.fell_back {
+                (*why, *was_demanded) = (format!("{doubt}; a model was to read it, but {why}"), false);
             }
+            reading
         }
         .boxed()
     }

@@ -239,7 +239,7 @@ mod tests {
     use crate::geometry::boxes::Aabb;
     use crate::geometry::{Point3, Vector3};
     use crate::grounding::direction::{DirectionConvention, Observer};
-    use crate::grounding::{Grounding, NameIndex, Question, SceneView, Timings, ground};
+    use crate::grounding::{Grounding, NameIndex, Question, SceneView, SixFields, Timings, ground};
     use crate::models::attributes::{self, tests::thing};
     use crate::scene::{Instance, InstanceId, Structure, Support};
 
@@ -300,6 +300,16 @@ mod tests {
         let answer = ask("the blue mug on the table").answer;
         assert_eq!((answer.anchor_id, answer.relation_used.as_deref()), (Some(InstanceId(3)), Some("on the table")));
         assert!(answer.explanation.contains("instance 3"), "{}", answer.explanation);
+    }
+
+    #[test]
+    fn whose_left_is_meant_is_told_where_it_is_not_the_convention_s() {
+        // By the paper's convention +X is left; who faces the table from the middle of the room has +X on the right.
+        for (query, faced) in [("the red sofa left of the table", true), ("the red sofa right of the table", false)] {
+            let SixFields { predicted_id, explanation, .. } = ask(query).answer;
+            assert_eq!(predicted_id, Some(InstanceId(1)), "{query}: {explanation}");
+            assert_eq!(explanation.contains("as who faces it sees it"), faced, "{query}: {explanation}");
+        }
     }
 
     #[test]

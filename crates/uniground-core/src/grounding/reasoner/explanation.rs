@@ -6,6 +6,7 @@ use crate::grounding::assess::{Assessment, Assessor};
 use crate::grounding::fit::{colours_fit, most_plausible};
 use crate::grounding::query::{Meaning, ParsedQuery, Phrase};
 use crate::grounding::readings::Readings;
+use crate::grounding::relations::SeenBy;
 use crate::models::attributes;
 use std::fmt::Write;
 
@@ -43,7 +44,9 @@ pub(super) fn explain(assessor: &Assessor, phrase: &Phrase, read: &Assessment, b
                 let anchor = &instances[a];
                 let gap = assessor.solids[best].gap(&assessor.solids[a]);
                 let (name, score) = (described(anchor), bond.score);
-                let _ = write!(text, "; {not}{} instance {} ({name}), {gap:.2} m apart{of} ({score:.2})", relation.text, anchor.id);
+                let faced = relation.kind.is_a_side() && assessor.at_side(relation.kind, best, a).1 == SeenBy::WhoFacesIt;
+                let seen = if faced { " as who faces it sees it" } else { "" };
+                let _ = write!(text, "; {not}{} instance {} ({name}){seen}, {gap:.2} m apart{of} ({score:.2})", relation.text, anchor.id);
             }
             None => {
                 let _ = write!(text, "; {not}{} ({:.2})", relation.text, bond.score);
