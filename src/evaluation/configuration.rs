@@ -122,7 +122,10 @@ pub fn cells(matrix: &str, base: &Configuration) -> anyhow::Result<Vec<(String, 
     }
     for (name, configuration) in &cells {
         let asks_nobody = configuration.parser == ParserChoice::Auto && configuration.reasoner == ReasonerChoice::Builtin;
-        ensure!(!asks_nobody, "{name}: parser=auto asks no model where reasoner=builtin decides; say parser=builtin or parser=vlm");
+        ensure!(
+            !asks_nobody,
+            "{name}: parser=auto asks no model where reasoner=builtin decides; say parser=builtin or parser=vlm"
+        );
     }
     if let [(name, _)] = cells.as_mut_slice()
         && name.is_empty()

@@ -202,7 +202,11 @@ async fn the_model_reads_what_the_grammar_is_in_doubt_about() {
     let (answer, calls) = asked(ask(doubtful)).await;
     let purposes: Vec<String> = answer.trace.as_ref().unwrap().calls.iter().map(|call| call.purpose.clone()).collect();
     assert!(calls == 2 && purposes == ["parse", "spatial"], "{purposes:?}");
-    assert!(answer.models.parser.starts_with("scripted") && answer.parsed_query.target == "mug", "{:?}", answer.parsed_query);
+    assert!(
+        answer.models.parser.starts_with("scripted") && answer.parsed_query.target == "mug",
+        "{:?}",
+        answer.parsed_query
+    );
     assert_eq!((answer.answer.predicted_id, answer.degraded), (Some(mug), false));
 
     // What it says of the question is of no use: the grammar's reading stands, and no more is said than why.

@@ -258,11 +258,9 @@ mod tests {
 
     #[test]
     fn a_purpose_may_be_said_in_part() {
-        for (query, left) in [
-            ("something to sit on", ""),
-            ("what you would drink water from", ""),
-            ("something to sit on for walruses", "walruses"),
-        ] {
+        for (query, left) in
+            [("something to sit on", ""), ("what you would drink water from", ""), ("something to sit on for walruses", "walruses")]
+        {
             let found = find(&tokens(query)).unwrap();
             let unsaid: Vec<&str> = unsaid(&found.uses, &found.words).into_iter().map(String::as_str).collect();
             assert_eq!(unsaid.join(" "), left, "{query}");

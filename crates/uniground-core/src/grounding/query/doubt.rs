@@ -71,7 +71,7 @@ impl Phrase {
 
     /// Words in front of nouns that are known, "leather" and "shabby": they describe, and nobody who only reads can check them.
     fn describing(&self, words: &mut Vec<String>) {
-        if self.meaning() != Meaning::Unknown {
+        if matches!(self.meaning(), Meaning::Nouns(_) | Meaning::Structure(_)) {
             words.extend(self.unchecked.iter().cloned());
         }
         let carried = self.with.iter().map(|with| &with.phrase);
@@ -123,6 +123,7 @@ mod tests {
             ("the theremin", words(&["theremin"])),
             ("the chair beside the theremin", words(&["theremin"])),
             ("the crumpled theremin", words(&["theremin", "crumpled"])),
+            ("the crumpled thing by the door", words(&["crumpled"])),
             ("something to frobnicate with", Doubt::Purpose("frobnicate".into())),
             ("something to sit on for walruses", Doubt::Purpose("sit walruses".into())),
             ("the red", Doubt::Unnamed),
