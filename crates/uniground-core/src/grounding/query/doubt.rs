@@ -85,8 +85,7 @@ impl Phrase {
 
     /// Whether anything tells what it is.
     fn named(&self) -> Option<Doubt> {
-        let unsaid = affordances::unsaid(&self.uses, &self.purpose);
-        if !unsaid.is_empty() || self.uses.is_empty() && !self.purpose.is_empty() {
+        if !affordances::unsaid(&self.uses, &self.purpose).is_empty() {
             return Some(Doubt::Purpose(self.purpose.join(" ")));
         }
         // "one" and "thing" are words somebody chose; no word at all is one that got lost.
@@ -124,7 +123,7 @@ mod tests {
             ("the chair beside the theremin", words(&["theremin"])),
             ("the crumpled theremin", words(&["theremin", "crumpled"])),
             ("the crumpled thing by the door", words(&["crumpled"])),
-            ("something to frobnicate with", Doubt::Purpose("frobnicate".into())),
+            ("something to frobnicate with", words(&["frobnicate"])),
             ("something to sit on for walruses", Doubt::Purpose("sit walruses".into())),
             ("the red", Doubt::Unnamed),
         ] {
