@@ -60,9 +60,9 @@ impl ParsedQuery {
 
 impl Phrase {
     fn doubt(&self) -> Option<Doubt> {
-        self.named().or_else(|| {
+        self.name_doubt().or_else(|| {
             // Of a thing carried, "on it" is on what carries it.
-            let carried = self.with.iter().find_map(|with| with.phrase.named().or_else(|| with.phrase.anchors_doubt()));
+            let carried = self.with.iter().find_map(|with| with.phrase.name_doubt().or_else(|| with.phrase.anchors_doubt()));
             let unanchored = |relation: &&Relation| relation.anchors.is_empty() && !relation.kind.is_of_the_room();
             let lost = self.relations.iter().find(unanchored).map(|relation| Doubt::Unanchored(relation.text.clone()));
             lost.or(carried).or_else(|| self.anchors_doubt())
@@ -83,8 +83,8 @@ impl Phrase {
         self.relations.iter().flat_map(|relation| &relation.anchors).find_map(Self::doubt)
     }
 
-    /// Whether anything tells what it is.
-    fn named(&self) -> Option<Doubt> {
+    /// Of what tells the thing itself: its noun, or what it is for.
+    fn name_doubt(&self) -> Option<Doubt> {
         if !affordances::unsaid(&self.uses, &self.purpose).is_empty() {
             return Some(Doubt::Purpose(self.purpose.join(" ")));
         }
