@@ -33,8 +33,10 @@ class Member:
     def start(self):
         self.life += 1
         fleet = self.fleet
+        # Where the one before listened: proxies and callers know it there.
+        listen = "127.0.0.1:0" if self.server is None else "{}:{}".format(*self.server.address)
         self.server = Server(fleet.program, fleet.data(self.name), fleet.folder / f"{self.name}.log", "--database", fleet.database,
-                             "--lease-s", fleet.lease_s, *fleet.blobs, *self.flags, *fleet.model.flags_of(f"{self.who}/v1"), command=self.command)
+                             "--lease-s", fleet.lease_s, *fleet.blobs, *self.flags, *fleet.model.flags_of(f"{self.who}/v1"), command=self.command, listen=listen)
         self.server.ready()
 
     def kill(self):
@@ -67,7 +69,7 @@ class Fleet:
     def add(self, apis=APIS, workers=WORKERS):
         """So many more of each, at work."""
         for kind, number, command, flags in (("api", apis, "serve", ["--role", "api"]),
-                                             ("worker", workers, "worker", ["--kinds", "parse,naming,batch", "--concurrency", 2])):
+                                             ("worker", workers, "worker", ["--kinds", "parse,naming,batch", "--concurrency", 1])):
             for _ in range(number):
                 at = 1 + sum(member.name.startswith(kind) for member in self.members)
                 member = Member(self, f"{kind}-{at}", command, flags)
