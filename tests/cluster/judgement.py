@@ -3,7 +3,7 @@
 When is a question paid for twice? Each call of the model is written down by the model itself, with the process that made it. A question whose answer is
 kept must never be asked about again. Before that, a call may be made again where the process that made it was killed, or stood still for longer than
 its lease, while the call was under way or its answer not yet in the database: nobody has a transaction with a model. Each such call excuses one
-more; anything else is paid twice.
+more. Anything else is paid twice; told apart is what a process begins that stood still past its lease and goes on as if nothing had happened.
 """
 import collections
 import json
@@ -18,30 +18,33 @@ OVER = {"succeeded", "failed", "cancelled"}
 COMMIT_S = 0.5
 
 
+# How long after standing still a process may take for itself what is others'.
+AWAKE_S = 5.0
+KILLED, STOPPED = "killed", "stopped"
+LATE, KEPT, NOTHING = "late", "kept", "nothing"
+
+
 def repeated_calls(calls, disturbances, kept_at, lease_s):
-    """Calls made again: those that a kill excuses, those that a pause past the lease excuses, those after the answer was kept, and the rest."""
+    """Calls made again, by why: KILLED and STOPPED are excused, LATE and those after the answer was KEPT and for NOTHING are not."""
     by_question, told = collections.defaultdict(list), collections.defaultdict(list)
     for call in sorted(calls, key=lambda call: call.arrived):
         by_question[call.question, call.turn].append(call)
+    paused = [one for one in disturbances if one.how == STOPPED and one.until - one.at >= lease_s]
+    killed = [one for one in disturbances if one.how == KILLED]
     for (question, _), made in by_question.items():
-        kept, excuses = kept_at.get(question, float("inf")), []
+        kept, reasons = kept_at.get(question, float("inf")), []
         for at, call in enumerate(made):
-            if at and call.arrived > kept + COMMIT_S:
-                told["after its answer was kept"].append(call)
-            elif at and excuses:
-                told[excuses.pop(0)].append(call)
-            elif at:
-                told["for no reason"].append(call)
-            excuses += sorted(reasons(call, disturbances, kept, lease_s))[:1]
+            is_late = any(one.who == call.life and one.until <= call.arrived < one.until + AWAKE_S for one in paused)
+            if at and is_late:
+                told[LATE].append(call)
+                continue
+            if at:
+                why = reasons.pop(0) if reasons else NOTHING
+                told[KEPT if call.arrived > kept + COMMIT_S else why].append(call)
+            # What it may be a reason for that this question is asked about once more.
+            under_way = lambda found: any(one.who == call.life and call.arrived <= one.at < kept for one in found)
+            reasons += [KILLED] if under_way(killed) else [STOPPED] if under_way(paused) else [LATE] if is_late else []
     return told
-
-
-def reasons(call, disturbances, kept, lease_s):
-    """Why a call may have to be made again; of several the first by its name is enough."""
-    for one in disturbances:
-        was_under_way = one.who == call.life and call.arrived <= one.at < kept
-        if was_under_way and (one.how == "killed" or one.until - one.at >= lease_s):
-            yield one.how
 
 
 def storm(table, fleet, database, crowd, model, items):
@@ -60,13 +63,16 @@ def storm(table, fleet, database, crowd, model, items):
     calls = [call for call in model.calls if call.question in asked]
     told = repeated_calls(calls, fleet.disturbances, kept_at, fleet.lease_s)
     table.row("calls of the model", f"{len(calls)} for {len(asked)} questions", "one each or more", len({call.question for call in calls}) == len(asked))
-    table.row("made again: under way when their process was killed", len(told["killed"]), "told only")
-    table.row("made again: under way when it stood still past its lease", len(told["stopped"]), "told only")
-    for why in ("after its answer was kept", "for no reason"):
-        table.equal(f"made again {why}", len(told[why]), 0)
+    table.row("made again: under way when their process was killed", len(told[KILLED]), "told only")
+    table.row("made again: under way when it stood still past its lease", len(told[STOPPED]), "told only")
+    for why, what in ((LATE, "made again: begun by a process that had lost its lease, or because of that"), (KEPT, "made again after the answer was kept"),
+                      (NOTHING, "made again for no reason")):
+        table.equal(what, len(told[why]), 0)
         for call in told[why][:3]:
-            others = [(other.life, round(other.arrived - call.arrived, 3)) for other in calls if (other.question, other.turn) == (call.question, call.turn)]
-            table.note(f"{why}: {call.question!r}, turn {call.turn}, by {call.life}; calls, relative to it: {others}; kept {kept_at.get(call.question, 0) - call.arrived:.3f}")
+            same = [other for other in calls if (other.question, other.turn) == (call.question, call.turn)]
+            others = ", ".join(f"{other.life} {other.arrived - call.arrived:+.3f}" for other in same)
+            kept = kept_at.get(call.question, 0) - call.arrived
+            table.note(f"{why}: {call.question!r}, turn {call.turn}, by {call.life}; calls, seconds from it: {others}; kept {kept:+.3f}")
 
 
 def jobs(table, database, crowd):
@@ -133,7 +139,8 @@ def replicas(table, fleet, crowd, scenes, expected):
     acknowledged(table, connections, crowd)
     gone = every[-1]
     connections[0].call("DELETE", f"/v1/scenes/{gone}")
-    table.equal("a scene deleted at one API, at all of them", [connection.call("GET", f"/v1/scenes/{gone}").status for connection in connections], [404] * len(connections))
+    statuses = [connection.call("GET", f"/v1/scenes/{gone}").status for connection in connections]
+    table.equal("a scene deleted at one API, at all of them", statuses, [404] * len(connections))
 
 
 def acknowledged(table, connections, crowd):
