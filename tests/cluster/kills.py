@@ -1,0 +1,165 @@
+#!/usr/bin/env python3
+"""A cluster whose processes are killed, and stand still past their leases, while they parse and ask a model: every job ends once, nothing is paid
+twice or lost, and every API tells the same.
+
+usage: kills.py --program PROGRAM --database postgres://… --log FILE [--blobs s3://…] [--full] [--seed N] [--keep FOLDER]
+
+The database is empty and belongs to a PostgreSQL whose superuser the address names; FILE is that server's log (scripts/test-cluster.sh starts one).
+Without --blobs all processes share a data folder; with it, which wants AWS_… in the environment, each has one of its own. Only Python's standard library
+and psql are needed. Moments come from the seed, but a machine is never the same twice: a run that fails tells what it saw.
+"""
+import argparse
+import random
+import resource
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+sys.dont_write_bytecode = True
+sys.path.insert(1, str(Path(__file__).resolve().parents[1] / "soak"))
+
+import judgement
+import plans
+import throughput
+from callers import Caller, Crowd
+from fleet import Fleet
+from model import Model
+from questions import questions
+from scans import Scans
+from server import Server, log_lines
+from sql import WITNESS, Database
+from table import Table
+
+# The shortest there may be, so that standing still past it does not take long.
+LEASE_S = 10
+# Parses, questions of each of three batches, disturbances, seconds that the model thinks on the average (so that batches last as long as the storm does,
+# and a kill finds calls under way), and seconds that the whole may take.
+SHORT, FULL = (8, 60, 8, 3.0, 900), (60, 500, 60, 3.2, 3600)
+BATCHES, FRAMES = 3, 6
+
+
+def items_of(scenes, number):
+    """Three batches of questions, no two alike. Photographs take time to draw: every fourth question has them."""
+    asked = questions(BATCHES * number, 7)
+    wanted = lambda at: {} if at % 4 == 0 else {"ablation": "no_candidate"}
+    return [[{"scene_id": scenes[at % len(scenes)], "query": asked[batch * number + at], "reasoner": "vlm", **wanted(at)} for at in range(number)]
+            for batch in range(BATCHES)]
+
+
+def undisturbed(program, folder, number, scans):
+    """Results of the same batches by one server over SQLite that nobody disturbs, and how many calls that takes."""
+    model = Model()
+    with Server(program, folder / "calm", folder / "calm.log", *model.flags) as server:
+        server.ready()
+        fleet = CalmFleet(server)
+        caller = Caller(fleet, until_s=600)
+        batches = [caller.batch(items, f"batch-{at}") for at, items in enumerate(items_of(prepared(fleet, scans), number))]
+        results = [server.connection().call("GET", f"/v1/batches/{batch}/results").body.splitlines() for batch in batches]
+        server.terminate()
+    model.shutdown()
+    return results, len(model.calls)
+
+
+class CalmFleet:
+    """A single server, for callers that know fleets."""
+
+    def __init__(self, server):
+        self.server = server
+
+    def addresses(self):
+        return [self.server.address]
+
+
+def prepared(fleet, scans):
+    """The scenes that batches ask about, parsed."""
+    caller = Caller(fleet)
+    made = [caller.upload(scans, f"base-{at}") for at in range(3)]
+    for created in made:
+        job = caller.finished(created["job"]["id"])
+        if job["state"] != "succeeded":
+            raise AssertionError(f"the sample scan can not be parsed: {job}")
+    return [created["scene"]["id"] for created in made]
+
+
+def storm(fleet, crowd, number, dice):
+    """So many disturbances at moments of the seed, the last of them while there is still something to do; one at a time, so that somebody is always there."""
+    for at in range(number):
+        time.sleep(dice.uniform(0.3, 2.0))
+        if crowd.is_over():
+            return at
+        # Workers three times out of four: they have the jobs.
+        member = dice.choice(fleet.of(dice.choice(["worker", "worker", "worker", "api"])))
+        how = dice.choice(["killed", "killed", "stopped"])
+        fleet.disturb(member, how, dice.uniform(0.1, 1.0) if how == "killed" else LEASE_S * dice.uniform(1.3, 2.0))
+    return number
+
+
+def run(table, options, folder, most):
+    parses, number, disturbances, pace_s, limit_s = most
+    program, database, scans = options.program.resolve(), Database(options.database), Scans(FRAMES)
+    start = time.time()
+    expected, calm_calls = undisturbed(program, folder, number, scans)
+    table.row("undisturbed, one server", f"{time.time() - start:.0f} s, {calm_calls} calls of the model")
+    model = Model()
+    model.pace_s = pace_s
+    with Fleet(program, folder, options.database, model, LEASE_S, options.blobs).add() as fleet:
+        database.run(WITNESS)
+        scenes = prepared(fleet, scans)
+        items = items_of(scenes, number)
+        single = questions(BATCHES * number + 1000, 7)[BATCHES * number:]
+        start = time.time()
+        crowd = Crowd(fleet, scans, scenes, items, single, parses, limit_s / 2)
+        done = storm(fleet, crowd, disturbances, random.Random(options.seed))
+        storm_s = time.time() - start
+        crowd.end()
+        # A quick machine is through before all of them have come.
+        table.row("storm", f"{done} of {disturbances} disturbances in {storm_s:.0f} s; all over after {time.time() - start:.0f} s", "half of them or more",
+                  2 * done >= disturbances)
+        judgement.storm(table, fleet, database, crowd, model, items)
+        judgement.replicas(table, fleet, crowd, scenes, expected)
+        judgement.ends(table, fleet.end())
+        numbers = sum((log_lines(folder / f"{member.name}.log")[0] for member in fleet.members), start=Counter())
+        table.row("errors in the logs", ", ".join(f"{count} {what}" for what, count in numbers.most_common(3)) or "0", "told only")
+    throughput.run(table, program, folder, database, model, scans, options.blobs, LEASE_S, *((4, 2) if most is SHORT else (12, 3)))
+    plans.run(table, program, folder, database, model, scenes, scans, options.log, options.blobs, LEASE_S)
+    model.shutdown()
+
+
+def too_long(*_):
+    raise AssertionError("this takes too long: it is broken off")
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--program", required=True, type=Path, help="the binary under test")
+    parser.add_argument("--database", required=True, help="an empty database of PostgreSQL's")
+    parser.add_argument("--log", required=True, type=Path, help="the log of its server")
+    parser.add_argument("--blobs", help="a store of files, like s3://bucket/prefix; each process has a data folder of its own then")
+    parser.add_argument("--full", action="store_true", help="60 parses, three batches of 500, 60 disturbances")
+    parser.add_argument("--seed", type=int, default=20261124)
+    parser.add_argument("--keep", type=Path, help="leave data folders and logs here")
+    options = parser.parse_args()
+    most = FULL if options.full else SHORT
+    hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    signal.signal(signal.SIGALRM, too_long)
+    signal.alarm(most[-1])
+    folder = options.keep or Path(tempfile.mkdtemp(prefix="cluster-"))
+    folder.mkdir(parents=True, exist_ok=True)
+    table = Table(f"cluster: 2 APIs, 3 workers, {most[0]} parses, {BATCHES} batches of {most[1]}, lease {LEASE_S} s, seed {options.seed}")
+    try:
+        run(table, options, folder, most)
+    finally:
+        table.print()
+        if not options.keep:
+            shutil.rmtree(folder, ignore_errors=True)
+    print("everything held" if not table.failed else "did not hold: " + "; ".join(table.failed))
+    sys.exit(bool(table.failed))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,43 @@
+"""Whether the program knows what deploy/ says to it: commands and flags as they stand there, and variables wherever they are named."""
+import re
+import subprocess
+
+import yaml
+
+import compose_files
+import kubernetes_files
+
+PROGRAM = None
+VARIABLE = re.compile(r"\bUNIGROUND_[A-Z_]+\b")
+# What env.example says to compose.yaml alone, and hands on.
+TEXTS = {".yaml", ".yml", ".service", ".example", ".py"}
+
+
+def known(deploy):
+    wrong, helps = [], {}
+    for where, command in commands(deploy):
+        # As it stands, and no further: help is told before anything is done, but after all words before it were understood.
+        done = subprocess.run([PROGRAM, *command, "--help"], capture_output=True, text=True)
+        if done.returncode:
+            wrong.append(f"{where}: uniground {' '.join(command)}: {done.stderr.strip().splitlines()[0]}")
+        else:
+            helps[command[0]] = done.stdout
+    told = set(VARIABLE.findall("".join(helps.values())))
+    for file in sorted(path for path in deploy.rglob("*") if path.suffix in TEXTS):
+        for name in sorted(set(VARIABLE.findall(file.read_text())) - told):
+            wrong.append(f"{file.relative_to(deploy)}: {name} is no variable of uniground {' or '.join(sorted(helps))}")
+    return wrong
+
+
+def commands(deploy):
+    """Where the program is started, and how."""
+    for name, service in compose_files.services(deploy, compose_files.STACKS[-1]).items():
+        if service.get("image", "").startswith("uniground"):
+            yield f"compose.yaml, {name}", service["command"]
+    for file in sorted((deploy / "kubernetes").rglob("*.yaml")):
+        for found in yaml.safe_load_all(file.read_text()):
+            for container in kubernetes_files.containers(found):
+                yield f"{file.relative_to(deploy)}, {found['metadata']['name']}", container["args"]
+    for line in (deploy / "uniground.service").read_text().splitlines():
+        if line.startswith("ExecStart="):
+            yield "uniground.service", line.split()[1:]
