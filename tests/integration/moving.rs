@@ -371,9 +371,11 @@ async fn what_can_not_be_a_target_is_refused_and_nothing_changes() {
     let told = refused((&data, SQLITE), (&free, "mysql://robot@127.0.0.1/rooms"));
     assert!(told.contains("mysql:// is no database for this"), "{told}");
     assert_eq!(fs::read_to_string(full.join("thesis.tex")).unwrap(), "words");
+    // Whatever was refused is as it was.
     for folder in [&data, &other] {
         house.server(folder, SQLITE).stop();
     }
+    migrate((&data, SQLITE), (&free, &elsewhere(&free)));
 }
 
 /// A row that refers to nothing is none that can be kept: what came before it is nobody's, and once it is mended all of it moves.

@@ -151,15 +151,13 @@ async fn bring(source: &Store, to: &Place, files: Files, tell: &Tell) -> Result<
     });
     let folder = opening.await.map_err(io::Error::other)??;
     let database = Database::open(&to.database, &folder).await?;
-    let noting = spawn_blocking(move || folder.note().map(|()| folder));
-    let folder = noting.await.map_err(io::Error::other)??;
     let rows = rows::move_rows(source, &database, &folder.id, tell).await;
     database.close().await;
     let rows::Rows { moved: rows, texts_changed } = rows?;
     let mut moved = Moved { rows, texts_changed, files: Vec::new(), damaged: Vec::new(), set_aside: None };
     if files == Files::Move {
-        let (from, to, tell) = (source.blobs.clone(), folder.blobs.clone(), tell.clone());
-        let moving = spawn_blocking(move || files::move_files(&from, &to, &tell));
+        let (from, to, tell) = (source.blobs.clone(), folder.clone(), tell.clone());
+        let moving = spawn_blocking(move || files::move_files(&from, &to.blobs()?, &tell));
         (moved.files, moved.damaged) = moving.await.map_err(io::Error::other)??;
     }
     Ok((folder, moved))
@@ -167,14 +165,14 @@ async fn bring(source: &Store, to: &Place, files: Files, tell: &Tell) -> Result<
 
 /// Whether the folder stays, for two places between which there is something to move.
 fn way(from: &Place, to: &Place) -> Result<Files, MoveError> {
-    let file_error = |file: &Utf8Path| {
-        let file = file.to_owned();
-        move |source| MoveError::File { file, source }
+    let no_folder = |_| {
+        let (data_dir, folder) = (from.data_dir.clone(), from.data_dir.clone());
+        MoveError::From { data_dir, source: StoreError::NoDataFolder { folder } }
     };
-    let own = from.data_dir.canonicalize_utf8().map_err(file_error(&from.data_dir))?;
+    let own = from.data_dir.canonicalize_utf8().map_err(no_folder)?;
     // Where it is not there yet, what it would lie in.
     let nearest = to.data_dir.ancestors().find(|path| path.exists()).unwrap_or(Utf8Path::new("."));
-    let other = nearest.canonicalize_utf8().map_err(file_error(&to.data_dir))?;
+    let other = nearest.canonicalize_utf8()?;
     let is_there = nearest == to.data_dir;
     let files = match own == other && is_there {
         true => Files::Stay,

@@ -12,6 +12,8 @@ use sqlx::pool::PoolConnection;
 use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Executor, Row};
 use std::borrow::Cow;
 use std::fmt::Write;
+use std::io;
+use tokio::task::spawn_blocking;
 
 /// Every table that moves, each after those its rows refer to. `data_folder`, which says whose a database is, and `members`, who is at work on
 /// it, are each database's own.
@@ -64,44 +66,29 @@ pub struct Database {
 }
 
 impl Database {
-    /// A database with the schema and no rows: a new file, or one of a server's that is empty or was begun for the same folder.
+    /// A database with the schema and no rows: a new file, or one of a server's that is empty or was begun for the same folder. The folder is
+    /// begun, too, once nothing speaks against it.
     pub async fn open(location: &Location, folder: &Folder) -> Result<Self, MoveError> {
         let not_used = |source: StoreError| MoveError::To { place: location.to_string(), source };
         let members = Membership::join(location, Company::None, LEASE).await.map_err(not_used)?;
+        let mut is_begun = false;
         let connections = if let Location::Postgres(url) = location {
-            Connections::to_server(url).await
+            let connections = Connections::to_server(url).await.map_err(not_used)?;
+            // Nothing of a database that is in use is changed, not even its schema.
+            is_begun = was_begun_for(&folder.id, &connections, location).await?;
+            begin(folder).await?;
+            connections
         } else {
-            folder.clear_unfinished_database()?;
-            Connections::to_file(&folder.unfinished_database()).await
+            begin(folder).await?;
+            Connections::to_file(&folder.unfinished_database()).await.map_err(not_used)?
         };
-        let Connections { engine, reader, writer } = connections.map_err(not_used)?;
+        let Connections { engine, reader, writer } = connections;
+        migrations(engine).run(&writer).await.map_err(StoreError::from)?;
         let database = Self { engine, writer: Writer::new(writer, engine), reader, members };
-        // Nothing of a database that is in use is changed, not even its schema.
-        let is_begun = database.is_begun(location, &folder.id).await?;
-        migrations(engine).run(database.writer.pool()).await.map_err(StoreError::from)?;
         if is_begun {
             database.clear().await?;
         }
         Ok(database)
-    }
-
-    /// Whether it was begun for a folder of this id. Every server writes down whose a database is before anything else.
-    async fn is_begun(&self, location: &Location, id: &str) -> Result<bool, MoveError> {
-        let pool = self.writer.pool();
-        let tables: Vec<String> = sqlx::query_scalar(self.engine.tables()).fetch_all(pool).await?;
-        if !tables.iter().any(|table| table == "data_folder") {
-            return Ok(false);
-        }
-        match sqlx::query_scalar::<_, String>("SELECT id FROM data_folder").fetch_optional(pool).await? {
-            None => Ok(false),
-            Some(known) if known == id => Ok(true),
-            Some(_) => {
-                let sql = "SELECT (SELECT count(*) FROM scenes), (SELECT count(*) FROM answers)";
-                let (scenes, answers): (i64, i64) = sqlx::query_as(sql).fetch_one(pool).await?;
-                let found = format!("rows of another data folder: {scenes} scenes, {answers} answers");
-                Err(MoveError::NotEmpty { place: location.to_string(), found })
-            }
-        }
     }
 
     /// Removes what an earlier try has brought.
@@ -131,6 +118,29 @@ impl Database {
         self.members.leave().await;
         self.reader.close().await;
         self.writer.close().await;
+    }
+}
+
+async fn begin(folder: &Folder) -> Result<(), MoveError> {
+    let folder = folder.clone();
+    spawn_blocking(move || folder.begin()).await.map_err(io::Error::other)?
+}
+
+/// Whether a database that is not empty was begun for a folder of this id. Every server writes down whose a database is before anything else.
+async fn was_begun_for(id: &str, Connections { engine, writer, .. }: &Connections, location: &Location) -> Result<bool, MoveError> {
+    let tables: Vec<String> = sqlx::query_scalar(engine.tables()).fetch_all(writer).await?;
+    if !tables.iter().any(|table| table == "data_folder") {
+        return Ok(false);
+    }
+    match sqlx::query_scalar::<_, String>("SELECT id FROM data_folder").fetch_optional(writer).await? {
+        None => Ok(false),
+        Some(known) if known == id => Ok(true),
+        Some(_) => {
+            let sql = "SELECT (SELECT count(*) FROM scenes), (SELECT count(*) FROM answers)";
+            let (scenes, answers): (i64, i64) = sqlx::query_as(sql).fetch_one(writer).await?;
+            let found = format!("rows of another data folder: {scenes} scenes, {answers} answers");
+            Err(MoveError::NotEmpty { place: location.to_string(), found })
+        }
     }
 }
 

@@ -11,6 +11,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File, TryLockError};
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 use uuid::Uuid;
 
@@ -24,20 +25,20 @@ struct Note {
     id: String,
 }
 
+#[derive(Clone)]
 pub struct Folder {
     path: Utf8PathBuf,
     /// What its id will be.
     pub id: String,
-    pub blobs: Blobs,
     engine: Engine,
     /// Where its rows were before, if it is not new.
     engine_before: Option<Engine>,
     /// One that is not new is held by its store.
-    _lock: Option<File>,
+    _lock: Option<Arc<File>>,
 }
 
 impl Folder {
-    /// A folder that is empty or not there, or has been begun before.
+    /// A folder that is empty or not there, or has been begun before. It is as empty as it was until something [begins](Self::begin).
     pub fn open(path: Utf8PathBuf, engine: Engine) -> Result<Self, MoveError> {
         let not_used = |source: io::Error| MoveError::To { place: path.to_string(), source: source.into() };
         fs::create_dir_all(&path).map_err(not_used)?;
@@ -54,41 +55,32 @@ impl Folder {
             Err(TryLockError::WouldBlock) => return Err(MoveError::To { place: path.to_string(), source: StoreError::InUse }),
             Err(TryLockError::Error(error)) => return Err(not_used(error)),
         }
-        let blobs = Blobs::open(&path)?;
-        // What an earlier try has left half done.
-        drop(blobs.left_behind(Duration::ZERO)?);
         let id = begun.unwrap_or_else(new_id);
-        Ok(Self { path, id, blobs, engine, engine_before: None, _lock: Some(lock) })
+        Ok(Self { path, id, engine, engine_before: None, _lock: Some(Arc::new(lock)) })
     }
 
     /// A data folder that is open and stays; it gets another id with its other database, so that no two databases have the same one.
     pub fn in_place(path: Utf8PathBuf, id_before: &str, engine_before: Engine, engine: Engine) -> Result<Self, MoveError> {
-        let blobs = Blobs::open(&path)?;
         // A note of its own id is what a move that came to its end was killed before removing.
         let id = read_note(&path)?.filter(|id| id != id_before).unwrap_or_else(new_id);
-        Ok(Self { path, id, blobs, engine, engine_before: Some(engine_before), _lock: None })
+        Ok(Self { path, id, engine, engine_before: Some(engine_before), _lock: None })
     }
 
-    /// Notes that something is on its way here.
-    pub fn note(&self) -> Result<(), MoveError> {
+    /// Notes that something is on its way here, and makes room for it: what an earlier try has left half done goes.
+    pub fn begin(&self) -> Result<(), MoveError> {
         let note = serde_json::to_vec_pretty(&Note { id: self.id.clone() }).map_err(StoreError::from)?;
-        Ok(write_synced(&self.path.join(MOVING), &note)?)
+        write_synced(&self.path.join(MOVING), &note)?;
+        drop(self.blobs()?.left_behind(Duration::ZERO)?);
+        Ok(())
+    }
+
+    pub fn blobs(&self) -> io::Result<Blobs> {
+        Blobs::open(&self.path)
     }
 
     /// Where a database is written that is a file: out of every server's sight.
     pub fn unfinished_database(&self) -> Utf8PathBuf {
-        self.blobs.tmp().join(DATABASE)
-    }
-
-    /// Removes what an earlier try has left of one.
-    pub fn clear_unfinished_database(&self) -> io::Result<()> {
-        for part in PARTS_OF_DATABASE {
-            match fs::remove_file(format!("{}{part}", self.unfinished_database())) {
-                Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-                _ => {}
-            }
-        }
-        Ok(())
+        self.path.join("tmp").join(DATABASE)
     }
 
     /// Makes a data folder of it, now that everything is there; the name of a database's file that is not used any more. What is
