@@ -18,6 +18,7 @@ mod key;
 mod local;
 mod man;
 mod mcp;
+mod migrate;
 mod models;
 mod openapi;
 mod output;
@@ -83,6 +84,8 @@ enum Command {
     Backup(backup::BackupArgs),
     /// Make a data folder of a backup
     Restore(restore::RestoreArgs),
+    /// Move everything that is stored to another data folder, another database, or both, and back
+    Migrate(migrate::MigrateArgs),
     /// Print the OpenAPI description of the service
     Openapi,
     /// Print what a shell needs to complete the words of this program
@@ -125,6 +128,7 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
         Command::Gc(args) => asynchronous(gc::run(args)),
         Command::Backup(args) => asynchronous(backup::run(args)),
         Command::Restore(args) => asynchronous(restore::run(args)),
+        Command::Migrate(args) => asynchronous(migrate::run(args)),
         Command::Openapi => openapi::run(),
         Command::Completions(args) => completions::run(args),
         Command::Man(args) => man::run(args),

@@ -1,6 +1,7 @@
 //! Answers as tables people can read.
 
 use crate::service::{Finding, Removed};
+use crate::store::{KindOfFiles, Moved};
 use comfy_table::{ColumnConstraint, ContentArrangement, Table, presets};
 use jiff::Timestamp;
 use uniground_core::geometry::boxes::Aabb;
@@ -180,6 +181,19 @@ pub fn of_removed(removed: &[Removed]) -> Table {
     table.set_header(vec!["Kind", "Entries", "Size", "Why"]);
     for Removed { kind, entries, bytes, why } in removed {
         table.add_row(vec![(*kind).to_owned(), entries.to_string(), size(*bytes), why.clone()]);
+    }
+    table
+}
+
+/// What was moved from one store to another; what there was none of is left out.
+pub fn of_moved(moved: &Moved) -> Table {
+    let mut table = empty();
+    table.set_header(vec!["What", "How many", "Size", "Of it copied"]);
+    for (name, rows) in moved.rows.iter().filter(|(_, rows)| *rows > 0) {
+        table.add_row(vec![format!("rows of {name}"), rows.to_string(), String::new(), String::new()]);
+    }
+    for KindOfFiles { kind, folders, bytes, copied_bytes } in moved.files.iter().filter(|kind| kind.folders > 0) {
+        table.add_row(vec![format!("files of {kind}"), folders.to_string(), size(*bytes), size(*copied_bytes)]);
     }
     table
 }

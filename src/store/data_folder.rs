@@ -6,6 +6,7 @@
 //! reserve               a few megabytes to let go of when the disk is full: deleting needs room too
 //! blobs/  uploads/  tmp/   see `blobs`
 //! quarantine/<day>/...  what no record speaks of, kept for a while
+//! uniground-moving.json a store is being moved here (`moving`); without a marker beside it something is missing still
 //! ```
 
 use super::database::Engine;
@@ -17,7 +18,9 @@ use std::io::{self, Write};
 use std::sync::Arc;
 use uuid::Uuid;
 
-const MARKER: &str = "uniground-data.json";
+pub const MARKER: &str = "uniground-data.json";
+/// In a folder that a store is being moved to.
+pub const MOVING: &str = "uniground-moving.json";
 /// What a kill in the moment of marking leaves.
 const UNFINISHED_MARKER: &str = "uniground-data.json.new";
 pub const DATABASE: &str = "uniground.sqlite";
@@ -50,8 +53,9 @@ impl DataFolder {
     /// Whether a folder, if it is a data folder already, keeps its rows where somebody means.
     ///
     /// # Errors
-    /// [`StoreError::OtherDatabase`], or what the file system says.
+    /// [`StoreError::OtherDatabase`], [`StoreError::HalfMoved`], or what the file system says.
     pub fn goes_with(path: &Utf8Path, engine: Engine) -> Result<(), StoreError> {
+        Self::is_whole(path)?;
         let kept_in = match fs::read(path.join(MARKER)) {
             Ok(bytes) => serde_json::from_slice::<Marker>(&bytes)?.database,
             Err(error) if error.kind() == io::ErrorKind::NotFound && path.join(DATABASE).exists() => Engine::Sqlite,
@@ -59,6 +63,14 @@ impl DataFolder {
             Err(error) => return Err(error.into()),
         };
         if kept_in == engine { Ok(()) } else { Err(StoreError::OtherDatabase { kept_in: kept_in.name() }) }
+    }
+
+    /// Whether nothing is missing of what was moved here.
+    fn is_whole(path: &Utf8Path) -> Result<(), StoreError> {
+        match path.join(MOVING).exists() && !path.join(MARKER).exists() {
+            true => Err(StoreError::HalfMoved),
+            false => Ok(()),
+        }
     }
 
     /// Opens a data folder, or makes one of a folder that is empty or not there.
@@ -128,6 +140,7 @@ impl DataFolder {
 
     /// The id of a data folder and its database, whoever uses it; a new one where it is of before folders had ids.
     pub fn identity(path: &Utf8Path) -> Result<(String, Engine), StoreError> {
+        Self::is_whole(path)?;
         match fs::read(path.join(MARKER)) {
             Ok(bytes) => {
                 let Marker { id, database, .. } = serde_json::from_slice(&bytes)?;

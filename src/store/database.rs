@@ -250,6 +250,35 @@ impl Engine {
         }
     }
 
+    /// Names of all tables.
+    pub const fn tables(self) -> &'static str {
+        match self {
+            Self::Sqlite => "SELECT name FROM sqlite_schema WHERE type = 'table' ORDER BY name",
+            Self::Postgres => {
+                "SELECT CAST(tablename AS text) AS name FROM pg_tables WHERE schemaname = current_schema() ORDER BY tablename"
+            }
+        }
+    }
+
+    /// Columns of a table that are written, with their types; not those that are made of others.
+    pub const fn columns(self) -> &'static str {
+        match self {
+            Self::Sqlite => "SELECT name, lower(type) FROM pragma_table_xinfo($1) WHERE hidden = 0 ORDER BY cid",
+            Self::Postgres => {
+                "SELECT CAST(column_name AS text), CAST(data_type AS text) FROM information_schema.columns
+                 WHERE table_schema = current_schema() AND table_name = $1 AND is_generated = 'NEVER' ORDER BY ordinal_position"
+            }
+        }
+    }
+
+    /// What lets the statements of a connection take as long as they need.
+    pub const fn without_haste(self) -> &'static [&'static str] {
+        match self {
+            Self::Sqlite => &[],
+            Self::Postgres => &["SET statement_timeout = 0"],
+        }
+    }
+
     /// What gives the room of removed rows back to the disk; PostgreSQL does that by itself.
     pub const fn compact(self) -> &'static [&'static str] {
         match self {

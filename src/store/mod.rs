@@ -20,6 +20,7 @@ mod ids;
 mod jobs;
 mod keys;
 mod members;
+mod moving;
 mod news;
 mod parses;
 mod records;
@@ -43,6 +44,7 @@ pub use health::StoreHealth;
 pub use jobs::{Hold, JobFilter, JobRow, JobState, NewJob, Queued, Recovery};
 pub use keys::KeyRow;
 pub use members::{Company, LEASE, Turn};
+pub use moving::{KindOfFiles, MoveError, Moved, Part, Place, Progress, move_over};
 pub use news::{News, Newsroom};
 pub use parses::{NewParse, ParseRow};
 pub use records::ParseRecord;
@@ -86,6 +88,8 @@ pub enum StoreError {
     OnlyOfSqlite { kept_in: &'static str },
     #[error("this data folder and this database do not belong together: one of the two is another server's (--data-dir, --database)")]
     NotTogether,
+    #[error("not everything that is being moved to it is there: run the same `uniground migrate` again, or choose another folder")]
+    HalfMoved,
     #[error("another server uses this database: it can not be had for oneself, or somebody has it for himself")]
     DatabaseInUse,
     /// The job was given to somebody else.

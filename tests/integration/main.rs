@@ -32,6 +32,7 @@ mod logs;
 mod many;
 mod mcp;
 mod model_choice;
+mod moving;
 mod neural;
 mod openapi;
 mod pages;

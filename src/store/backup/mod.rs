@@ -16,8 +16,10 @@ mod restore;
 mod sink;
 mod snapshot;
 
+pub(super) use reading::Unsound;
 pub use restore::{Restored, Source, check, restore};
 pub use sink::Target;
+pub(super) use sink::copy_folder;
 
 use super::StoreError;
 use super::blobs::Blobs;
@@ -25,7 +27,6 @@ use super::data_folder::DataFolder;
 use super::database::Engine;
 use camino::{Utf8Path, Utf8PathBuf};
 use manifest::{Kept, LeftOut, Manifest};
-use reading::Unsound;
 use sink::Sink;
 use snapshot::Snapshot;
 use std::collections::BTreeMap;

@@ -1,0 +1,150 @@
+//! `uniground migrate`: a store moved over to another folder, another database, or both. No server may run on either.
+
+use super::output::print_json;
+use super::table;
+use crate::store::{Location, Moved, Place, Progress, move_over};
+use crate::telemetry;
+use camino::Utf8PathBuf;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde_json::json;
+use std::io::{self, IsTerminal};
+use std::sync::{Arc, Mutex};
+use std::time::Instant;
+
+#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[derive(Debug, clap::Args)]
+pub struct MigrateArgs {
+    /// The data folder that is moved; its server must not run. It stays as it is
+    #[arg(long, value_name = "FOLDER")]
+    from: Utf8PathBuf,
+    /// Where its rows are: "sqlite", in a file of the folder, or postgres://USER@HOST/DATABASE
+    #[arg(long, env = "UNIGROUND_FROM_DATABASE", hide_env_values = true, value_name = "DATABASE", default_value = "sqlite")]
+    from_database: Location,
+    /// Where it goes: an empty folder, or one that is not there yet. The same folder: only its rows move, to the other database
+    #[arg(long, value_name = "FOLDER")]
+    to: Utf8PathBuf,
+    /// Where its rows go: "sqlite", or postgres://USER@HOST/DATABASE, an empty database that is there
+    #[arg(long, env = "UNIGROUND_TO_DATABASE", hide_env_values = true, value_name = "DATABASE", default_value = "sqlite")]
+    to_database: Location,
+    /// Print what was moved as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+pub async fn run(args: &MigrateArgs) -> anyhow::Result<()> {
+    telemetry::start_quiet();
+    let MigrateArgs { from, from_database, to, to_database, json: as_json } = args;
+    let (from, to) = (
+        Place { data_dir: from.clone(), database: from_database.clone() },
+        Place { data_dir: to.clone(), database: to_database.clone() },
+    );
+    let begun = Instant::now();
+    let shown = Arc::new(Mutex::new(Shown::default()));
+    let teller = shown.clone();
+    let tell = move |progress| {
+        if let Ok(mut shown) = teller.lock() {
+            shown.tell(progress);
+        }
+    };
+    let moved = move_over(&from, &to, Arc::new(tell)).await;
+    if let Ok(mut shown) = shown.lock() {
+        shown.clear();
+    }
+    let moved = moved?;
+    if *as_json {
+        return print_json(&as_value(&from, &to, &moved));
+    }
+    println!("{}", table::of_moved(&moved));
+    println!("moved from {} to {} in {:.1} s", told(&from), told(&to), begun.elapsed().as_secs_f32());
+    for (folder, what) in &moved.damaged {
+        println!("damaged before, and as it was: {folder}: {what}");
+    }
+    if moved.texts_changed > 0 {
+        println!("{} texts had a character that PostgreSQL does not keep (NUL): U+FFFD stands there", moved.texts_changed);
+    }
+    println!("next: {}", next(&from, &to, &moved));
+    Ok(())
+}
+
+fn told(place: &Place) -> String {
+    format!("{} ({})", place.data_dir, place.database)
+}
+
+/// What is to be done now.
+fn next(from: &Place, to: &Place, moved: &Moved) -> String {
+    let database = if to.database == Location::Folder { "sqlite".to_owned() } else { format!("{}, as it was said here", to.database) };
+    let start = format!("start the server with --data-dir {} --database {database}", to.data_dir);
+    let (is_in_place, rows) = (moved.files.is_empty(), format!("the rows in {}", from.database));
+    let old = match &moved.set_aside {
+        Some(file) => file.to_string(),
+        None if is_in_place => rows,
+        None if from.database == Location::Folder => from.data_dir.to_string(),
+        None => format!("{} and {rows}", from.data_dir),
+    };
+    format!("{start}; when all is well, remove {old}: nothing uses it any more")
+}
+
+fn as_value(from: &Place, to: &Place, moved: &Moved) -> serde_json::Value {
+    let Moved { rows, texts_changed, files, damaged, set_aside } = moved;
+    let place = |place: &Place| json!({"data_dir": place.data_dir, "database": place.database.to_string()});
+    let rows: serde_json::Map<_, _> = rows.iter().map(|(table, rows)| ((*table).to_owned(), (*rows).into())).collect();
+    let files: Vec<_> = files
+        .iter()
+        .map(|kind| json!({"kind": kind.kind, "folders": kind.folders, "bytes": kind.bytes, "copied_bytes": kind.copied_bytes}))
+        .collect();
+    let damaged: Vec<_> = damaged.iter().map(|(folder, what)| json!({"folder": folder, "what": what})).collect();
+    json!({
+        "from": place(from), "to": place(to), "rows": rows, "texts_changed": texts_changed, "files": files, "damaged": damaged,
+        "set_aside": set_aside,
+    })
+}
+
+/// A bar on a terminal, a line a part elsewhere.
+#[derive(Default)]
+struct Shown {
+    part: Option<String>,
+    bar: Option<ProgressBar>,
+}
+
+impl Shown {
+    fn tell(&mut self, Progress { part, done, of }: Progress) {
+        let name = part.to_string();
+        if self.part.as_ref() != Some(&name) {
+            self.clear();
+            match io::stderr().is_terminal() {
+                true => self.bar = Some(bar(&name, of)),
+                false => eprintln!("{name}: {of}"),
+            }
+            self.part = Some(name);
+        }
+        if let Some(bar) = &self.bar {
+            bar.set_position(done);
+        }
+    }
+
+    fn clear(&mut self) {
+        if let Some(bar) = self.bar.take() {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+const TEMPLATE: &str = "{msg:<26} {bar:30} {pos} of {len}, {eta} left";
+
+fn bar(name: &str, of: u64) -> ProgressBar {
+    let bar = ProgressBar::with_draw_target(Some(of), ProgressDrawTarget::stderr());
+    if let Ok(style) = ProgressStyle::with_template(TEMPLATE) {
+        bar.set_style(style);
+    }
+    bar.with_message(name.to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_template_of_the_bar_is_one() {
+        assert!(ProgressStyle::with_template(TEMPLATE).is_ok());
+    }
+}
