@@ -42,6 +42,11 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
 /// # Errors
 /// As [`start`]; a part where the database is of one process.
 pub async fn start_part(config: &ServeConfig, part: &Part) -> anyhow::Result<RunningService> {
+    // It holds much while it waits: whoever starts it need not hold that too.
+    Box::pin(put_together(config, part)).await
+}
+
+async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<RunningService> {
     ensure!(
         !part.needs_others() || matches!(config.database.location, Location::Postgres(_)),
         "a process that does a part only needs others over the same database: say --database postgres://…, or let \"uniground serve\" do everything"
@@ -145,7 +150,7 @@ fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, at_once: Option<usize>, shutdown
 /// Does what other processes' doings ask for, as soon as they are known here.
 async fn heed_news(mut newsroom: Newsroom, jobs: Jobs, keys: Keyring, shutdown: CancellationToken) {
     const TROUBLE: Duration = Duration::from_secs(2);
-    while let Some(news) = shutdown.run_until_cancelled(newsroom.next()).await {
+    while let Some(news) = shutdown.run_until_cancelled(Box::pin(newsroom.next())).await {
         let news = match news {
             Ok(news) => news,
             Err(error) => {

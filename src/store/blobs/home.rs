@@ -12,6 +12,7 @@ use std::fmt;
 use std::fs::{self, File, TryLockError};
 use std::io;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::{Duration, SystemTime};
 use tokio::task::spawn_blocking;
 
@@ -90,7 +91,7 @@ impl Blobs {
             Files::Used => blobs.copying(objects, &bucket.to_string(), kept_in, *cache_bytes),
             Files::Untouched => {
                 let id = objects.wait(objects.id())?;
-                Ok(Self { id: Some(id), hands: Hands::Tied, ..blobs })
+                Ok(Self { id: Some(id.into()), hands: Hands::Tied, ..blobs })
             }
         }
     }
@@ -128,7 +129,7 @@ impl Blobs {
             }
         }
         let cache = Cache::new(cache_bytes, &self.tmp, objects.runtime().clone(), here, lock);
-        Ok(Self { id: Some(id), shared: Some(Shared { objects, cache }), ..self })
+        Ok(Self { id: Some(id.into()), shared: Some(Arc::new(Shared { objects, cache })), ..self })
     }
 
     /// Folders that are looked at and stay as they are, whatever is asked: nothing goes out of the way, nothing to the quarantine.

@@ -42,6 +42,7 @@ use futures::{StreamExt, stream};
 use std::collections::HashMap;
 use std::fs;
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::spawn_blocking;
 use uuid::Uuid;
@@ -52,9 +53,9 @@ pub struct Blobs {
     tmp: Utf8PathBuf,
     hands: Hands,
     /// What it all goes by, where that is not the data folder's own id.
-    id: Option<String>,
+    id: Option<Arc<str>>,
     /// Where folders are kept in an object store.
-    shared: Option<Shared>,
+    shared: Option<Arc<Shared>>,
 }
 
 /// Whether what is done with folders is done, or only thought through.
@@ -103,7 +104,7 @@ const AT_ONCE: usize = 16;
 pub struct Prepared {
     scratch: Scratch,
     place: Utf8PathBuf,
-    put: Option<(Shared, FolderName, Put)>,
+    put: Option<(Arc<Shared>, FolderName, Put)>,
 }
 
 impl Blobs {
@@ -237,15 +238,12 @@ impl Blobs {
     }
 
     fn prepare_knowing(&self, scratch: Scratch, place: &Utf8Path, known: &Sums) -> io::Result<Prepared> {
-        let put = match (&self.shared, self.name_of(place)) {
-            (Some(shared), Some(name)) => {
-                let put = shared.put(&scratch, &name, known)?;
-                Some((shared.clone(), name, put))
-            }
-            _ => {
-                checksums::seal(scratch.path(), known, "")?;
-                None
-            }
+        let put = if let (Some(shared), Some(name)) = (&self.shared, self.name_of(place)) {
+            let put = shared.put(&scratch, &name, known)?;
+            Some((shared.clone(), name, put))
+        } else {
+            checksums::seal(scratch.path(), known, "")?;
+            None
         };
         Ok(Prepared { scratch, place: place.to_owned(), put })
     }
@@ -279,7 +277,7 @@ impl Blobs {
 
     /// Takes a folder out of the way, under `tmp/`: it is gone for everybody at once, whatever it holds. `None` where nothing was.
     fn take_away(&self, folder: &Utf8Path) -> io::Result<Option<Scratch>> {
-        if let Some(Shared { cache, .. }) = &self.shared {
+        if let Some(Shared { cache, .. }) = self.shared.as_deref() {
             return Ok(cache.take(folder)?.map(|path| self.aside(path)));
         }
         let path = self.tmp.join(Uuid::now_v7().to_string());
@@ -315,7 +313,7 @@ impl Blobs {
 
     /// Takes folders away from the object store, where they are there. What can not be had now is for the sweep: no row speaks of it any more.
     fn unseal(&self, folders: &[Utf8PathBuf]) -> HashMap<Utf8PathBuf, Unclaimed> {
-        let Some(Shared { objects, .. }) = &self.shared else { return HashMap::new() };
+        let Some(Shared { objects, .. }) = self.shared.as_deref() else { return HashMap::new() };
         let named = folders.iter().filter_map(|folder| Some((folder.clone(), self.name_of(folder)?)));
         let unsealed = named.map(async |(folder, name)| match objects.unseal(&name).await {
             Ok(unsealed) => unsealed.map(|unclaimed| (folder, unclaimed)),

@@ -11,7 +11,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 /// The object store, and what of it is here.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub(in crate::store) struct Shared {
     pub objects: Objects,
     pub cache: Arc<Cache>,
@@ -107,10 +107,10 @@ impl Blobs {
     /// Those of the file system; that the object store can not be used.
     pub fn look(&self, place: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
         match (&self.shared, self.name_of(place)) {
-            (Some(Shared { objects, .. }), Some(name)) => objects.wait(async {
+            (Some(shared), Some(name)) => shared.objects.wait(async {
                 match closely {
-                    Look::Names if objects.seal(&name).await?.is_some() => Ok(Vec::new()),
-                    _ => objects.look(&name).await,
+                    Look::Names if shared.objects.seal(&name).await?.is_some() => Ok(Vec::new()),
+                    _ => shared.objects.look(&name).await,
                 }
             }),
             _ => checksums::look(place, closely),

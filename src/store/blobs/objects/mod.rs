@@ -65,7 +65,7 @@ impl Away {
     /// Whether this is what is behind an error.
     #[must_use]
     pub fn is_behind(error: &io::Error) -> bool {
-        error.get_ref().is_some_and(|inner| inner.is::<Self>())
+        matches!(error.get_ref(), Some(inner) if inner.is::<Self>())
     }
 }
 
