@@ -13,8 +13,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 use uniground::app;
 use uniground::config::{
-    AccessConfig, BundlesConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, Role, RuntimeConfig, ServeConfig,
-    VlmConfig, WebhookConfig,
+    AccessConfig, BlobsConfig, BundlesConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, Role, RuntimeConfig,
+    ServeConfig, VlmConfig, WebhookConfig,
 };
 use uniground_client::Client;
 use uniground_core::grounding::album::{Album, AlbumScene};
@@ -272,6 +272,7 @@ impl Server {
         let config = ServeConfig {
             listen: "127.0.0.1:0".parse().unwrap(),
             database: DatabaseConfig::default(),
+            blobs: BlobsConfig::default(),
             data_dir: Utf8PathBuf::try_from(data.path().to_owned()).unwrap(),
             role: Role::All,
             access: AccessConfig::default(),

@@ -7,7 +7,7 @@ use crate::inference::Probe;
 use crate::jobs::{JobKind, Jobs};
 use crate::metrics::Metrics;
 use crate::service::{BatchJob, Keyring, NamingJob, ParseJob, Service, Vlm, VlmSettings};
-use crate::store::{Location, News, Newsroom, Store};
+use crate::store::{BlobsAt, Location, News, Newsroom, Store};
 use anyhow::{Context, ensure};
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -42,18 +42,20 @@ pub async fn start(config: &ServeConfig) -> anyhow::Result<RunningService> {
 /// # Errors
 /// As [`start`]; a part where the database is of one process.
 pub async fn start_part(config: &ServeConfig, part: &Part) -> anyhow::Result<RunningService> {
+    // It holds much while it waits: whoever starts it need not hold that too.
+    Box::pin(put_together(config, part)).await
+}
+
+async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<RunningService> {
     ensure!(
         !part.needs_others() || matches!(config.database.location, Location::Postgres(_)),
         "a process that does a part only needs others over the same database: say --database postgres://…, or let \"uniground serve\" do everything"
     );
     let api_key = config.api_key()?;
     let webhook = config.webhook.webhook()?;
-    let store = Store::open_with(&config.data_dir, &config.database.location, config.database.lease())
+    let store = Store::open_with(&config.data_dir, &config.database.location, &config.blobs.home()?, config.database.lease())
         .await
-        .with_context(|| match &config.database.location {
-            Location::Folder => format!("the data folder {}", config.data_dir),
-            elsewhere => format!("the data folder {} with {elsewhere}", config.data_dir),
-        })?;
+        .with_context(|| format!("the data folder {}{}", config.data_dir, elsewhere(config)))?;
     let mut keys = Keyring::open(store.clone(), api_key.as_deref()).await?;
     if let Some(secret) = config.access.link_secret()? {
         keys = keys.with_link_secret(secret);
@@ -131,6 +133,14 @@ pub async fn start_part(config: &ServeConfig, part: &Part) -> anyhow::Result<Run
     Ok(RunningService { address, service, shutdown, server, lanes, store })
 }
 
+/// What is not in the data folder.
+fn elsewhere(config: &ServeConfig) -> String {
+    let database = Some(&config.database.location).filter(|at| **at != Location::Folder).map(ToString::to_string);
+    let blobs = Some(&config.blobs.at).filter(|at| **at != BlobsAt::Folder).map(ToString::to_string);
+    let named: Vec<String> = database.into_iter().chain(blobs).collect();
+    if named.is_empty() { String::new() } else { format!(" with {}", named.join(" and ")) }
+}
+
 /// Gives a kind of job its lane.
 fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, at_once: Option<usize>, shutdown: &CancellationToken) -> JoinHandle<()> {
     let (jobs, shutdown) = (jobs.clone(), shutdown.clone());
@@ -140,7 +150,7 @@ fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, at_once: Option<usize>, shutdown
 /// Does what other processes' doings ask for, as soon as they are known here.
 async fn heed_news(mut newsroom: Newsroom, jobs: Jobs, keys: Keyring, shutdown: CancellationToken) {
     const TROUBLE: Duration = Duration::from_secs(2);
-    while let Some(news) = shutdown.run_until_cancelled(newsroom.next()).await {
+    while let Some(news) = shutdown.run_until_cancelled(Box::pin(newsroom.next())).await {
         let news = match news {
             Ok(news) => news,
             Err(error) => {

@@ -1,5 +1,6 @@
 //! Configuration: every flag is also an environment variable; units are in the names.
 
+mod blobs;
 mod choice;
 mod database;
 mod models;
@@ -7,6 +8,7 @@ mod part;
 mod registries;
 mod retention;
 
+pub use blobs::BlobsConfig;
 pub use choice::ChosenModels;
 pub use database::DatabaseConfig;
 pub use models::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS, BundlesConfig, LIBRARY_FOLDER, ModelsConfig, RuntimeConfig};
@@ -52,6 +54,8 @@ pub struct ServeConfig {
     /// What this process does of the whole; with PostgreSQL others may do the rest
     #[arg(long, env = "UNIGROUND_ROLE", value_enum, default_value_t, value_name = "ROLE")]
     pub role: Role,
+    #[command(flatten)]
+    pub blobs: BlobsConfig,
     #[command(flatten)]
     pub access: AccessConfig,
     #[command(flatten)]

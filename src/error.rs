@@ -1,7 +1,7 @@
 //! Everything that can go wrong in a use case, without HTTP. `http/problem.rs` maps it once.
 
 use crate::jobs::JobsError;
-use crate::store::{StoreError, is_disk_full};
+use crate::store::{Away, StoreError, is_disk_full};
 use std::io;
 use uniground_core::changes::ChangesError;
 use uniground_core::grounding::pipeline::QuestionError;
@@ -244,6 +244,16 @@ impl Error {
         matches!(self, Self::Store(error) | Self::Jobs(JobsError::Store(error)) if error.is_busy())
     }
 
+    /// Whether the object store can not be had for a moment.
+    #[must_use]
+    pub fn is_blobs_away(&self) -> bool {
+        match self {
+            Self::Store(error) | Self::Jobs(JobsError::Store(error)) => error.is_blobs_away(),
+            Self::Io(error) | Self::Ingest(IngestError::Io { source: error, .. }) => Away::is_behind(error),
+            _ => false,
+        }
+    }
+
     /// Stable code of this error, part of the API.
     #[must_use]
     pub fn code(&self) -> &'static str {
@@ -253,6 +263,9 @@ impl Error {
         }
         if self.is_store_busy() {
             return "storage_busy";
+        }
+        if self.is_blobs_away() {
+            return "blobs_busy";
         }
         match self {
             Self::Ingest(error) => code_of_import(error),

@@ -36,7 +36,7 @@ fn start_at(levels: &str) {
 /// # Errors
 /// An endpoint that is no address.
 pub fn start(config: &LogConfig) -> anyhow::Result<Option<Traces>> {
-    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,sqlx=warn,ort=warn"));
+    let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new("info,sqlx=warn,ort=warn,object_store=warn"));
     let log = fmt::layer().with_writer(|| Scrubbed);
     let log = match config.log_format {
         LogFormat::Text => log.with_ansi(std::io::IsTerminal::is_terminal(&std::io::stderr())).with_filter(filter).boxed(),

@@ -2,7 +2,7 @@
 
 use super::output::print_json;
 use super::table;
-use crate::config::{DatabaseConfig, LimitsConfig};
+use crate::config::{BlobsConfig, DatabaseConfig, LimitsConfig};
 use crate::service::{Finding, Service, Trouble};
 use crate::store::Store;
 use crate::telemetry;
@@ -17,6 +17,8 @@ pub struct DoctorArgs {
     data_dir: Utf8PathBuf,
     #[command(flatten)]
     database: DatabaseConfig,
+    #[command(flatten)]
+    blobs: BlobsConfig,
     /// Make again what can be made, take strays to the quarantine, end what has no end
     #[arg(long)]
     repair: bool,
@@ -27,9 +29,9 @@ pub struct DoctorArgs {
 
 pub async fn run(args: &DoctorArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
-    let DoctorArgs { data_dir, database, repair, json: as_json } = args;
+    let DoctorArgs { data_dir, database, blobs, repair, json: as_json } = args;
     ensure!(data_dir.is_dir(), "there is no folder {data_dir}");
-    let store = Store::open_as_it_is(data_dir, &database.location).await;
+    let store = Store::open_as_it_is(data_dir, &database.location, &blobs.home()?).await;
     let store = store.with_context(|| format!("the data folder {data_dir}"))?;
     let service = Service::at_rest(store.clone(), LimitsConfig::default().service_limits()).await?;
     let findings = service.examine().await?;

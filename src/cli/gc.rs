@@ -1,7 +1,7 @@
 //! `uniground gc`: lets a stopped server's folder go of everything that was kept long enough.
 
 use super::table;
-use crate::config::{DatabaseConfig, LimitsConfig, RetentionConfig};
+use crate::config::{BlobsConfig, DatabaseConfig, LimitsConfig, RetentionConfig};
 use crate::service::{Beside, Service};
 use crate::store::Store;
 use crate::telemetry;
@@ -16,6 +16,8 @@ pub struct GcArgs {
     data_dir: Utf8PathBuf,
     #[command(flatten)]
     database: DatabaseConfig,
+    #[command(flatten)]
+    blobs: BlobsConfig,
     /// Only tell what would go; nothing is written
     #[arg(long)]
     dry_run: bool,
@@ -28,10 +30,10 @@ pub struct GcArgs {
 
 pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
-    let GcArgs { data_dir, database, dry_run, json: as_json, retention } = args;
+    let GcArgs { data_dir, database, blobs, dry_run, json: as_json, retention } = args;
     let opened = match dry_run {
         true => Store::open_copy(data_dir).await,
-        false => Store::open_known(data_dir, &database.location).await,
+        false => Store::open_known(data_dir, &database.location, &blobs.home()?).await,
     };
     let store = opened.with_context(|| format!("the data folder {data_dir}"))?;
     let limits = LimitsConfig { retention: retention.clone(), ..LimitsConfig::default() };

@@ -2,7 +2,7 @@
 
 use super::output::print_json;
 use super::table;
-use crate::config::DatabaseConfig;
+use crate::config::{BlobsConfig, DatabaseConfig};
 use crate::service::Keyring;
 use crate::store::Store;
 use crate::{telemetry, words};
@@ -78,6 +78,8 @@ struct Place {
     data_dir: Option<Utf8PathBuf>,
     #[command(flatten)]
     database: DatabaseConfig,
+    #[command(flatten)]
+    blobs: BlobsConfig,
     /// Print JSON
     #[arg(long)]
     json: bool,
@@ -99,15 +101,15 @@ enum Keys {
 }
 
 impl Keys {
-    async fn of(Place { server, data_dir, database, json: _ }: &Place) -> anyhow::Result<Self> {
+    async fn of(Place { server, data_dir, database, blobs, json: _ }: &Place) -> anyhow::Result<Self> {
         match data_dir {
-            Some(folder) => Self::of_folder(folder, database).await,
+            Some(folder) => Self::of_folder(folder, database, blobs).await,
             None => Ok(Self::Server(Client::new(server, std::env::var("UNIGROUND_API_KEY").ok())?)),
         }
     }
 
-    async fn of_folder(folder: &Utf8Path, database: &DatabaseConfig) -> anyhow::Result<Self> {
-        let store = Store::open_beside(folder, &database.location)
+    async fn of_folder(folder: &Utf8Path, database: &DatabaseConfig, blobs: &BlobsConfig) -> anyhow::Result<Self> {
+        let store = Store::open_beside(folder, &database.location, &blobs.home()?)
             .await
             .with_context(|| format!("the data folder {folder} (while its server runs, leave --data-dir out and ask the server)"))?;
         let keys = Keyring::open(store.clone(), None).await?;

@@ -3,7 +3,8 @@
 use super::server::client;
 use crate::app::{self, RunningService};
 use crate::config::{
-    AccessConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, Role, ServeConfig, VlmConfig, WebhookConfig,
+    AccessConfig, BlobsConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, Role, ServeConfig, VlmConfig,
+    WebhookConfig,
 };
 use camino::Utf8PathBuf;
 use std::net::{Ipv4Addr, SocketAddr};
@@ -24,6 +25,7 @@ impl Private {
             data_dir,
             database: DatabaseConfig::default(),
             role: Role::All,
+            blobs: BlobsConfig::default(),
             access: AccessConfig::default(),
             models,
             fetch_models: false,

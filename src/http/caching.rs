@@ -3,6 +3,7 @@
 
 use super::problem::Refused;
 use crate::error::Error;
+use crate::service::Download;
 use axum::body::{Body, to_bytes};
 use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderName, HeaderValue, Method, StatusCode, header};
@@ -45,6 +46,17 @@ pub async fn send_file(path: &Utf8Path, media_type: &'static str, asked: &Header
     response.headers_mut().insert(header::CONTENT_TYPE, HeaderValue::from_static(media_type));
     response.headers_mut().insert(header::CACHE_CONTROL, ASK_AGAIN);
     Ok(response)
+}
+
+/// A file that is here, or where else it is: only for now, so that nothing keeps the address.
+pub async fn send_download(file: Download, media_type: &'static str, asked: &HeaderMap) -> Result<Response, Refused> {
+    match file {
+        Download::Here(file) => send_file(&file, media_type, asked).await,
+        Download::There(link) => {
+            let headers = [(header::LOCATION, link.as_str()), (header::CACHE_CONTROL, "no-store")];
+            Ok((StatusCode::TEMPORARY_REDIRECT, headers).into_response())
+        }
+    }
 }
 
 /// What was made for the caller, whole, or nothing where the caller has it. The same bytes have the same fingerprint, and others another.

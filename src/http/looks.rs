@@ -1,6 +1,6 @@
 //! A scene for who looks at it: points, a small picture, photographs and where they were taken from.
 
-use super::caching::send_file;
+use super::caching::{send_download, send_file};
 use super::extract::{Path, Query};
 use super::problem::Refused;
 use super::{App, Binary};
@@ -23,6 +23,7 @@ use utoipa::IntoParams;
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
         (status = 206, description = "The part that `Range` names", body = Binary, content_type = "application/octet-stream"),
+        (status = 307, description = "Where the object store has it, if the server sends callers there", headers(("location" = String))),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
@@ -31,7 +32,7 @@ use utoipa::IntoParams;
     security(("key" = ["read"]), ())
 )]
 pub async fn points(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
-    send_file(&app.service.points(&scene_id).await?, "application/octet-stream", &asked).await
+    send_download(app.service.points(&scene_id).await?, "application/octet-stream", &asked).await
 }
 
 /// The room of the current parse from above, 320 x 240 pixels.

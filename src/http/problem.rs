@@ -99,6 +99,9 @@ impl From<Error> for Refused {
                 "the server's disk is full: delete scenes, or ask its operator".into()
             }
             StatusCode::SERVICE_UNAVAILABLE if error.is_store_busy() => "the server's database is busy: try again in a moment".into(),
+            StatusCode::SERVICE_UNAVAILABLE if error.is_blobs_away() => {
+                "the object store that scans and parses are kept in can not be reached: try again in a moment".into()
+            }
             _ => error.to_string(),
         };
         let Self(mut problem) = Self::new(status, code, detail);
@@ -120,7 +123,7 @@ fn status_of(error: &Error) -> StatusCode {
     if error.is_disk_full() {
         return StatusCode::INSUFFICIENT_STORAGE;
     }
-    if error.is_store_busy() {
+    if error.is_store_busy() || error.is_blobs_away() {
         return StatusCode::SERVICE_UNAVAILABLE;
     }
     match error {

@@ -1,7 +1,7 @@
 //! `/v1/scenes`
 
 use super::Binary;
-use super::caching::send_file;
+use super::caching::send_download;
 use super::extract::{Json, Path, Query};
 use super::paging::{DEFAULT_LIMIT, checked};
 use super::problem::Refused;
@@ -329,6 +329,7 @@ pub async fn name(
     get, path = "/v1/scenes/{scene_id}/cloud.ply", operation_id = "get_cloud", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
+        (status = 307, description = "Where the object store has it, if the server sends callers there", headers(("location" = String))),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
@@ -338,7 +339,7 @@ pub async fn name(
 )]
 pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Cloud).await?;
-    send_file(&file, "application/octet-stream", &asked).await
+    send_download(file, "application/octet-stream", &asked).await
 }
 
 /// The cloud coloured by instance, PLY; each point carries its instance id.
@@ -346,6 +347,7 @@ pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>, asked: 
     get, path = "/v1/scenes/{scene_id}/instances.ply", operation_id = "get_instances_cloud", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
+        (status = 307, description = "Where the object store has it, if the server sends callers there", headers(("location" = String))),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
@@ -355,7 +357,7 @@ pub async fn cloud(State(app): State<App>, Path(scene_id): Path<String>, asked: 
 )]
 pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Instances).await?;
-    send_file(&file, "application/octet-stream", &asked).await
+    send_download(file, "application/octet-stream", &asked).await
 }
 
 /// What the instances look like: a numpy array of half floats, one unit vector per instance in order of id, zero for those no frame
@@ -364,6 +366,7 @@ pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String
     get, path = "/v1/scenes/{scene_id}/embeddings.npy", operation_id = "get_embeddings", tag = "scenes", params(("scene_id" = String, Path)),
     responses(
         (status = 200, body = Binary, content_type = "application/octet-stream"),
+        (status = 307, description = "Where the object store has it, if the server sends callers there", headers(("location" = String))),
         (status = 401, body = Problem, content_type = "application/problem+json"),
         (status = 404, body = Problem, content_type = "application/problem+json"),
         (status = 409, body = Problem, content_type = "application/problem+json"),
@@ -373,5 +376,5 @@ pub async fn instances_cloud(State(app): State<App>, Path(scene_id): Path<String
 )]
 pub async fn embeddings(State(app): State<App>, Path(scene_id): Path<String>, asked: HeaderMap) -> Result<Response, Refused> {
     let file = app.service.parse_file(&scene_id, ParseFile::Embeddings).await?;
-    send_file(&file, "application/octet-stream", &asked).await
+    send_download(file, "application/octet-stream", &asked).await
 }

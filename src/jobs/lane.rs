@@ -264,12 +264,17 @@ fn next_try(Retry { transient, backoff, .. }: Retry, failures: u32) -> Option<Du
 mod tests {
     use super::*;
     use crate::jobs::{Job, JobsError};
-    use crate::store::{Location, NewJob, Store};
+    use crate::store::{BlobHome, Location, NewJob, Store};
     use camino::Utf8Path;
     use std::sync::atomic::{AtomicU32, Ordering};
 
     async fn queue(folder: &tempfile::TempDir) -> Jobs {
-        Jobs::new(Store::open(Utf8Path::from_path(folder.path()).unwrap(), &Location::Folder).await.unwrap(), 10)
+        Jobs::new(
+            Store::open(Utf8Path::from_path(folder.path()).unwrap(), &Location::Folder, &BlobHome::Folder)
+                .await
+                .unwrap(),
+            10,
+        )
     }
 
     /// Does what its payload says.

@@ -31,7 +31,7 @@ pub use health::Health;
 pub use instances::{EvidenceFile, written};
 pub use keys::{Allowance, Caller, Denied, Done, Keyring, LINK_PARAMETER, LinkSecret};
 pub use names::NamingJob;
-pub use parses::{ParseFile, ParseJob};
+pub use parses::{Download, ParseFile, ParseJob};
 pub use retention::{Beside, Removed};
 pub use scenes::{ExportFile, NewFrames, NewScene};
 pub use uploads::{Algorithm, Checksum, NewUpload, Part};

@@ -87,7 +87,7 @@ impl Service {
             self.limits.retention;
         // First: it looks for folders without rows, and a round that only looks leaves some.
         let quarantine = round.quarantine().await?;
-        let removed = vec![
+        let mut removed = vec![
             round.evidence().await?,
             round.rows(Aged::Answers, answers_days, "answers").await?,
             round.rows(Aged::Batches, batches_days, "batches").await?,
@@ -103,6 +103,9 @@ impl Service {
             round.checkpoints().await?,
             quarantine,
         ];
+        if self.store.blobs.are_copies() {
+            removed.push(round.orphans().await?);
+        }
         for Removed { kind, entries, bytes, why } in removed.iter().filter(|removed| removed.entries > 0) {
             tracing::info!(kind, entries, bytes, why, "removed what was kept long enough");
         }
@@ -217,6 +220,19 @@ impl Round<'_> {
     async fn quarantine(&self) -> Result<Removed, Error> {
         let (entries, bytes) = self.service.store.sweep(self.beside.settled()).await?;
         Ok(Gone { entries, bytes }.because("quarantine", format!("no record speaks of them, for over {KEEP_QUARANTINE_DAYS} days")))
+    }
+
+    /// Objects no record speaks of, one by one, looked up again right before.
+    async fn orphans(&self) -> Result<Removed, Error> {
+        let (service, mut gone) = (self.service, Gone::default());
+        for orphan in service.store.orphans().await? {
+            let _references = (service.content_references().await?, service.parse_references().await?);
+            if service.store.remove_orphan(&orphan).await? {
+                gone.entries += 1;
+                gone.bytes += orphan.bytes();
+            }
+        }
+        Ok(gone.because("orphaned objects", "no record speaks of them, for longer than the grace period".into()))
     }
 
     /// Removes folders in the background; how large they are.

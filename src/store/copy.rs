@@ -39,7 +39,7 @@ impl Store {
         });
         let (folder, elsewhere, database) = copied.await.map_err(io::Error::other)??;
         let members = Membership::join(&Location::Folder, Company::None, LEASE).await?;
-        let store = Self::connect(Connections::to_file(&database).await?, folder, Blobs::look_only(data_dir), members).await?;
+        let store = Self::connect(Connections::to_file(&database).await?, folder, Blobs::look_only(data_dir)?, members).await?;
         Ok(Self { _copy: Some(Arc::<TempDir>::new(elsewhere)), ..store })
     }
 }

@@ -102,7 +102,7 @@ impl Store {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::store::{Location, NewJob};
+    use crate::store::{BlobHome, Location, NewJob};
     use camino::Utf8Path;
 
     fn written(kind: &str) -> NewJob<'_> {
@@ -112,7 +112,9 @@ mod tests {
     #[tokio::test]
     async fn jobs_are_counted_by_kind_and_state_with_the_oldest_of_each() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(Utf8Path::from_path(folder.path()).unwrap(), &Location::Folder).await.unwrap();
+        let store = Store::open(Utf8Path::from_path(folder.path()).unwrap(), &Location::Folder, &BlobHome::Folder)
+            .await
+            .unwrap();
         let empty = store.figures().await.unwrap();
         assert_eq!((empty.scenes, empty.answers, empty.jobs.len()), (0, 0, 0));
         assert!(empty.database_bytes > 4096 && empty.free_bytes > 0);

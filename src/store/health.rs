@@ -12,7 +12,7 @@ use tokio::time::timeout;
 pub struct StoreHealth {
     /// Why the database can not be written, if so.
     pub database: Option<String>,
-    /// Why the blob folder can not be read, if so.
+    /// Why the blob folder can not be read, or the object store in its place can not be had, if so.
     pub blobs: Option<String>,
     /// Why the disk takes no more, if so.
     pub disk: Option<String>,
@@ -31,6 +31,10 @@ impl Store {
             Ok(Err(error)) => Some(uniground_core::models::with_causes(&error)),
             Err(_) => Some(format!("a write took longer than {} s", PATIENCE.as_secs())),
         };
+        let reached = match timeout(PATIENCE, self.blobs.reach()).await {
+            Ok(reached) => reached.err().map(|error| uniground_core::models::with_causes(&error)),
+            Err(_) => Some(format!("the object store took longer than {} s", PATIENCE.as_secs())),
+        };
         let (folder, blobs) = (self.folder.clone(), self.blobs.clone());
         let looked = spawn_blocking(move || {
             let readable = folder.check_marker().and_then(|()| blobs.scratch().map(drop));
@@ -42,7 +46,7 @@ impl Store {
             Ok(_) => None,
             Err(error) => Some(error.to_string()),
         };
-        StoreHealth { database, blobs: readable.err().map(|error| error.to_string()), disk }
+        StoreHealth { database, blobs: readable.err().map(|error| error.to_string()).or(reached), disk }
     }
 
     /// Bytes that may still be written.

@@ -391,6 +391,9 @@ fn key_of(name: &str) -> i64 {
 #[cfg(test)]
 impl super::Store {
     /// As if every process had gone, this one too.
+    ///
+    /// # Panics
+    /// Where the database fails.
     pub async fn forget_all_members(&self) {
         sqlx::query("DELETE FROM members").execute(self.writer.pool()).await.unwrap();
     }

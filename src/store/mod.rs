@@ -22,6 +22,7 @@ mod keys;
 mod members;
 mod moving;
 mod news;
+mod orphans;
 mod parses;
 mod records;
 mod retention;
@@ -35,7 +36,10 @@ mod writer;
 pub use answers::{AnswerFilter, AnswerRow, NewAnswer};
 pub use backup::{BackedUp, BackupError, Restored, Source, Target, back_up, check, restore};
 pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, Resumed, Submitted};
-pub use blobs::{Blobs, Damage, GrowingFile, KeptCheckpoints, Look, Measured, Scratch, size_of};
+pub use blobs::{
+    AccessKeys, Away, BlobHome, Blobs, BlobsAt, Bucket, Damage, GrowingFile, Kept, KeptCheckpoints, Links, Look, Measured, Prepared,
+    Scratch, size_of,
+};
 pub use corrections::NewCorrection;
 pub use database::{Location, PostgresUrl};
 pub use figures::{Figures, JobFigures};
@@ -46,6 +50,7 @@ pub use keys::KeyRow;
 pub use members::{Company, LEASE, Turn};
 pub use moving::{KindOfFiles, MoveError, Moved, Part, Place, Progress, move_over};
 pub use news::{News, Newsroom};
+pub use orphans::Orphan;
 pub use parses::{NewParse, ParseRow};
 pub use records::ParseRecord;
 pub use retention::{Aged, Before, Due};
@@ -55,6 +60,7 @@ pub use uploads::{CameOf, Unfinished, UploadRow, WantedScene};
 pub use vlm::{Allowance, Short, Wish};
 
 use answers::AnswerQueue;
+use blobs::Files;
 use camino::{Utf8Path, Utf8PathBuf};
 use data_folder::DataFolder;
 use database::{Connections, Engine};
@@ -86,7 +92,18 @@ pub enum StoreError {
         "its rows are kept in {kept_in}, and this is for SQLite's file only: use {kept_in}'s own tools (a copy of the rows first, then of blobs/)"
     )]
     OnlyOfSqlite { kept_in: &'static str },
-    #[error("this data folder and this database do not belong together: one of the two is another server's (--data-dir, --database)")]
+    #[error("its scans and parses are kept in {kept_in}: say so with --blobs (or UNIGROUND_BLOBS)")]
+    BlobsElsewhere { kept_in: String },
+    #[error(
+        "its scans and parses are kept in {kept_in}, and this is for those in a data folder only: use the object store's own versions or replication, and \
+         the database's own backups (a copy of the rows first)"
+    )]
+    OnlyOfFolder { kept_in: String },
+    #[error("this data folder holds scans and parses of its own: an object store (--blobs) needs a folder without any, for its copies")]
+    BlobsHere,
+    #[error(
+        "this data folder, this database and this object store do not belong together: one of them is another server's (--data-dir, --database, --blobs)"
+    )]
     NotTogether,
     #[error("not everything that is being moved to it is there: run the same `uniground migrate` again, or choose another folder")]
     HalfMoved,
@@ -136,6 +153,16 @@ impl StoreError {
             _ => false,
         }
     }
+
+    /// Whether the object store can not be had now.
+    #[must_use]
+    pub fn is_blobs_away(&self) -> bool {
+        match self {
+            Self::Blobs(error) => Away::is_behind(error),
+            Self::Together(error) => error.is_blobs_away(),
+            _ => false,
+        }
+    }
 }
 
 /// What SQLite or PostgreSQL call an error.
@@ -172,16 +199,16 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError`] when the folder or the database can not be used.
-    pub async fn open(data_dir: &Utf8Path, location: &Location) -> Result<Self, StoreError> {
-        Self::open_with(data_dir, location, LEASE).await
+    pub async fn open(data_dir: &Utf8Path, location: &Location, home: &BlobHome) -> Result<Self, StoreError> {
+        Self::open_with(data_dir, location, home, LEASE).await
     }
 
     /// As [`open`](Self::open). A process that was not seen for a `lease` is taken to be gone.
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub async fn open_with(data_dir: &Utf8Path, location: &Location, lease: Duration) -> Result<Self, StoreError> {
-        let store = Self::open_for(data_dir, location, Company::Welcome, lease).await?;
+    pub async fn open_with(data_dir: &Utf8Path, location: &Location, home: &BlobHome, lease: Duration) -> Result<Self, StoreError> {
+        let store = Self::open_for(data_dir, location, (home, Files::Used), Company::Welcome, lease).await?;
         store.forget_what_the_gone_left().await?;
         if store.members.was_alone {
             store.clear_folder().await?;
@@ -190,23 +217,29 @@ impl Store {
         Ok(store)
     }
 
-    /// Opens the store beside whoever uses it, as far as its database allows, and leaves everything where it is.
+    /// Opens the store beside whoever uses it, as far as its database allows, and leaves everything where it is: for its rows alone.
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub async fn open_beside(data_dir: &Utf8Path, location: &Location) -> Result<Self, StoreError> {
-        Self::open_for(data_dir, location, Company::Welcome, LEASE).await
+    pub async fn open_beside(data_dir: &Utf8Path, location: &Location, home: &BlobHome) -> Result<Self, StoreError> {
+        Self::open_for(data_dir, location, (home, Files::Untouched), Company::Welcome, LEASE).await
     }
 
     /// Opens the store for nobody else and leaves everything where it is.
     ///
     /// # Errors
     /// As [`open`](Self::open).
-    pub async fn open_as_it_is(data_dir: &Utf8Path, location: &Location) -> Result<Self, StoreError> {
-        Self::open_for(data_dir, location, Company::None, LEASE).await
+    pub async fn open_as_it_is(data_dir: &Utf8Path, location: &Location, home: &BlobHome) -> Result<Self, StoreError> {
+        Self::open_for(data_dir, location, (home, Files::Used), Company::None, LEASE).await
     }
 
-    async fn open_for(data_dir: &Utf8Path, location: &Location, company: Company, lease: Duration) -> Result<Self, StoreError> {
+    async fn open_for(
+        data_dir: &Utf8Path,
+        location: &Location,
+        (home, files): (&BlobHome, Files),
+        company: Company,
+        lease: Duration,
+    ) -> Result<Self, StoreError> {
         let engine = location.engine()?;
         DataFolder::goes_with(data_dir, engine)?;
         // A folder is marked as one of a server's database once that has been reached.
@@ -219,10 +252,10 @@ impl Store {
             Some(url) => Some(Connections::to_server(url).await?),
             None => None,
         };
-        let path = data_dir.to_owned();
+        let (path, home) = (data_dir.to_owned(), home.clone());
         let opened = spawn_blocking(move || {
             let folder = DataFolder::open(&path, engine)?;
-            let blobs = Blobs::open(&path)?;
+            let blobs = Blobs::open(&path, &home, files)?;
             Ok::<_, StoreError>((folder, blobs))
         });
         let (folder, blobs) = opened.await.map_err(io::Error::other)??;
@@ -298,9 +331,9 @@ impl Store {
     ///
     /// # Errors
     /// As [`open`](Self::open); [`StoreError::NoDataFolder`].
-    pub async fn open_known(data_dir: &Utf8Path, location: &Location) -> Result<Self, StoreError> {
+    pub async fn open_known(data_dir: &Utf8Path, location: &Location, home: &BlobHome) -> Result<Self, StoreError> {
         DataFolder::identity(data_dir)?;
-        Self::open_as_it_is(data_dir, location).await
+        Self::open_as_it_is(data_dir, location, home).await
     }
 
     /// A store over a database, which is brought up to date.
@@ -322,15 +355,16 @@ impl Store {
         Ok(store)
     }
 
-    /// Lets database and data folder know each other. A file that is new here, or comes from another folder, has no say over files that
-    /// are older than that.
+    /// Lets the database and where files are kept know each other: the data folder, or an object store. A file that is new here, or comes from
+    /// another folder, has no say over files that are older than that.
     async fn introduce(&self) -> Result<(), StoreError> {
         let known: Option<String> = sqlx::query_scalar("SELECT id FROM data_folder").fetch_optional(&self.reader).await?;
-        if known.as_ref() == Some(&self.folder.id) {
+        let id = self.blobs.id().unwrap_or(&self.folder.id);
+        if known.as_deref() == Some(id) {
             return Ok(());
         }
         // A file lies in its folder. A server's database may be named with any folder: of two that do not know each other, one is wrong.
-        if self.engine == Engine::Postgres && (known.is_some() || !self.blobs.names("contents")?.is_empty()) {
+        if self.engine == Engine::Postgres && (known.is_some() || self.blobs.hold_scans().await?) {
             return Err(StoreError::NotTogether);
         }
         let mut tx = self.writer.begin().await?;
@@ -338,7 +372,7 @@ impl Store {
         // A database of before folders had ids has known its own since its first scan.
         let since = if known.is_none() { "coalesce((SELECT min(created_at) FROM contents), $2)" } else { "$2" };
         let sql = format!("INSERT INTO data_folder (id, since) VALUES ($1, {since})");
-        sqlx::query(sqlx::AssertSqlSafe(sql)).bind(&self.folder.id).bind(now()).execute(&mut *tx).await?;
+        sqlx::query(sqlx::AssertSqlSafe(sql)).bind(id).bind(now()).execute(&mut *tx).await?;
         tx.commit().await
     }
 

@@ -1,11 +1,10 @@
 //! What no record speaks of. It is never removed at once: a database may have been lost, replaced or restored, and then it is the database
 //! that is wrong. It goes to the quarantine, and from there after a week; not even that where the database has no standing to judge.
 
-use super::blobs::{remove_tree, size_of};
+use super::blobs::{KINDS, remove_tree, size_of};
 use super::{Store, StoreError, now};
 use jiff::Timestamp;
 use jiff::civil::Date;
-use std::collections::HashSet;
 use std::fs;
 use std::io;
 use std::time::{Duration, SystemTime};
@@ -17,6 +16,12 @@ const QUARANTINE_DAYS: i64 = 7;
 pub const KEEP_QUARANTINE_DAYS: u32 = QUARANTINE_DAYS as u32;
 /// Names looked up at once.
 const CHUNK: usize = 500;
+
+/// What a database may say of files: nothing of those that are older, or where it is empty.
+pub(super) struct Judge {
+    pub since: Option<SystemTime>,
+    pub knows_nothing: bool,
+}
 
 /// Folders no record speaks of.
 #[derive(Debug, Default, Clone, PartialEq, Eq)]
@@ -33,24 +38,11 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub async fn strays(&self, settled: Duration) -> Result<Strays, StoreError> {
-        let since: Option<String> = sqlx::query_scalar("SELECT since FROM data_folder").fetch_optional(&self.reader).await?;
-        let since = since.and_then(|since| since.parse::<Timestamp>().ok()).map(SystemTime::from);
-        let contents: Vec<String> = sqlx::query_scalar("SELECT hash FROM contents").fetch_all(&self.reader).await?;
-        let parses: Vec<String> = sqlx::query_scalar("SELECT id FROM parses").fetch_all(&self.reader).await?;
-        let knows_nothing = contents.is_empty();
-        let (contents, parses): (HashSet<_>, HashSet<_>) = (contents.into_iter().collect(), parses.into_iter().collect());
+        let Judge { since, knows_nothing } = self.judge().await?;
         let mut unknown: Vec<(&'static str, String)> = Vec::new();
-        for (kind, known) in [("contents", &contents), ("checkpoints", &contents), ("parses", &parses)] {
-            unknown.extend(self.blobs.names(kind)?.into_iter().filter(|name| !known.contains(name)).map(|name| (kind, name)));
-        }
-        for names in self.blobs.names("answers")?.chunks(CHUNK) {
-            let names_here = self.engine.values_of("$1");
-            let sql = format!("SELECT value FROM {names_here} AS here WHERE NOT EXISTS (SELECT 1 FROM answers WHERE id = value)");
-            let missing: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql))
-                .bind(serde_json::to_string(names)?)
-                .fetch_all(&self.reader)
-                .await?;
-            unknown.extend(missing.into_iter().map(|name| ("answers", name)));
+        for kind in KINDS {
+            let names = self.blobs.names(kind)?;
+            unknown.extend(self.unknown(kind, names).await?.into_iter().map(|name| (kind, name)));
         }
         let mut strays = Strays::default();
         for (kind, name) in unknown {
@@ -71,6 +63,31 @@ impl Store {
         Ok(strays)
     }
 
+    /// What the database may say of files.
+    pub(super) async fn judge(&self) -> Result<Judge, StoreError> {
+        let since: Option<String> = sqlx::query_scalar("SELECT since FROM data_folder").fetch_optional(&self.reader).await?;
+        let since = since.and_then(|since| since.parse::<Timestamp>().ok()).map(SystemTime::from);
+        let any: Option<String> = sqlx::query_scalar("SELECT hash FROM contents LIMIT 1").fetch_optional(&self.reader).await?;
+        Ok(Judge { since, knows_nothing: any.is_none() })
+    }
+
+    /// Of folders of a kind those that no record speaks of.
+    pub(super) async fn unknown(&self, kind: &str, names: Vec<String>) -> Result<Vec<String>, StoreError> {
+        let (table, key) = match kind {
+            "contents" | "checkpoints" => ("contents", "hash"),
+            kind => (kind, "id"),
+        };
+        let here = self.engine.values_of("$1");
+        let sql = format!("SELECT value FROM {here} AS here WHERE NOT EXISTS (SELECT 1 FROM {table} WHERE {key} = value)");
+        let mut unknown = Vec::new();
+        for names in names.chunks(CHUNK) {
+            let names = serde_json::to_string(names)?;
+            let missing: Vec<String> = sqlx::query_scalar(sqlx::AssertSqlSafe(sql.clone())).bind(names).fetch_all(&self.reader).await?;
+            unknown.extend(missing);
+        }
+        Ok(unknown)
+    }
+
     /// Takes what no record speaks of to the quarantine, and removes what has been there long enough: how many days of it, and bytes.
     /// `settled` as for [`strays`](Self::strays).
     ///
@@ -78,6 +95,11 @@ impl Store {
     /// [`StoreError`].
     pub async fn sweep(&self, settled: Duration) -> Result<(u64, u64), StoreError> {
         let Strays { unclaimed, unjudged } = self.strays(settled).await?;
+        if self.blobs.are_copies() {
+            let places = unclaimed.iter().chain(&unjudged).map(|(kind, name)| self.blobs.place(kind, name)).collect();
+            self.blobs.remove_later(self.blobs.forget_copies(places).await?);
+            return self.empty_quarantine().await;
+        }
         if !unjudged.is_empty() {
             let folders = unjudged.len();
             tracing::warn!(

@@ -24,12 +24,11 @@ AWAY_S = 8
 
 
 class Server:
-    """A server over a database; its own folder holds the files."""
+    """A server over a data folder, and what else its arguments name."""
 
-    def __init__(self, program, folder, database):
-        command = [program, "serve", "--listen", "127.0.0.1:0", "--data-dir", str(folder), "--database", database,
-                   "--masks", "builtin", "--encoder", "builtin"]
-        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    def __init__(self, program, folder, *arguments, environment=None):
+        command = [program, "serve", "--listen", "127.0.0.1:0", "--data-dir", str(folder), "--masks", "builtin", "--encoder", "builtin", *arguments]
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, env=environment)
         self.url = self.process.stdout.readline().split()[-1]
 
     def call(self, method, path, body=None, media_type="application/json"):
@@ -76,7 +75,7 @@ def main():
         parser.add_argument(f"--{name}", required=True)
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        server = Server(args.program, pathlib.Path(folder) / "data", args.database)
+        server = Server(args.program, pathlib.Path(folder) / "data", "--database", args.database)
         try:
             outage(server, args)
         finally:

@@ -1,7 +1,7 @@
 //! What is kept for a time only, and what `uniground gc` does about it.
 
 use crate::archives::Scan;
-use crate::server::{TestServer, ask, finished, in_database, loose_rows};
+use crate::server::{TestServer, ask, finished, in_places, loose_rows};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde_json::Value;
 use sqlx::{AnyConnection, AssertSqlSafe, Connection};
@@ -30,12 +30,7 @@ async fn ids(rows: &mut AnyConnection, sql: &'static str) -> Vec<String> {
 
 fn gc(data: &Utf8Path, more: &[&str]) -> Output {
     let mut command = Command::new(env!("CARGO_BIN_EXE_uniground"));
-    command
-        .args(["gc", "--data-dir", data.as_str()])
-        .envs(in_database(data))
-        .args(more)
-        .output()
-        .unwrap()
+    command.args(["gc", "--data-dir", data.as_str()]).envs(in_places(data)).args(more).output().unwrap()
 }
 
 /// What went, by kind: entries and bytes.

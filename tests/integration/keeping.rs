@@ -1,7 +1,7 @@
 //! What a data folder keeps, what it lets go of, and how damage in it is found and mended.
 
 use crate::archives::Scan;
-use crate::server::{Process, TestServer, ask, finished, in_database, location, parsed, problem, rows};
+use crate::server::{Process, TestServer, ask, blobs, finished, in_places, location, parsed, problem, rows};
 use camino::{Utf8Path, Utf8PathBuf};
 use sqlx::Connection;
 use std::fs;
@@ -15,7 +15,7 @@ fn doctor(data: &Utf8Path, more: &[&str]) -> Output {
     let program = Command::new(env!("CARGO_BIN_EXE_uniground"))
         .args(["doctor", "--data-dir", data.as_str()])
         .args(more)
-        .envs(in_database(data))
+        .envs(in_places(data))
         .output();
     program.unwrap()
 }
@@ -115,7 +115,7 @@ async fn old_answers_go_and_new_ones_stay() {
     let sql = "INSERT INTO answers (id, scene_id, parse_id, body, created_at)
                SELECT '016f5e66-e800-7000-8000-00000000000' || value, scene_id, parse_id, body, '2020-01-01T00:00:00Z' FROM answers, (SELECT '1' AS value UNION ALL SELECT '2' UNION ALL SELECT '3') AS few";
     sqlx::query(sql).execute(&mut rows).await.unwrap();
-    let store = Store::open(folder, &location(folder)).await.unwrap();
+    let store = Store::open(folder, &location(folder), &blobs(folder).home().unwrap()).await.unwrap();
     let limits =
         LimitsConfig { retention: RetentionConfig { keep_answers_days: 30, ..RetentionConfig::default() }, ..LimitsConfig::default() };
     let service = Service::at_rest(store.clone(), limits.service_limits()).await.unwrap();

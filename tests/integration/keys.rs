@@ -2,7 +2,7 @@
 
 use crate::archives::Scan;
 use crate::script::{Script, says};
-use crate::server::{Process, TestServer, ask, command, finished, in_database, location, problem};
+use crate::server::{Process, TestServer, ask, command, finished, in_places, location, problem};
 use crate::vlm::{config, six_lines};
 use camino::Utf8Path;
 use reqwest::{Method, StatusCode};
@@ -32,7 +32,7 @@ async fn the_first_key_opens_a_server_to_the_network() {
     let folder = Utf8Path::from_path(data.path()).unwrap();
     let key = |args: &[&str]| {
         let mut program = Command::new(env!("CARGO_BIN_EXE_uniground"));
-        program.arg("key").args(args).envs(in_database(folder)).output().unwrap()
+        program.arg("key").args(args).envs(in_places(folder)).output().unwrap()
     };
     let made = key(&["create", "boss", "--scope", "admin", "--data-dir", folder.as_str()]);
     assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));

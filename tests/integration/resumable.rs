@@ -1,7 +1,7 @@
 //! Uploads in parts, in the words of tus 1.0: what is there stays there, whatever becomes of the sender or the server.
 
 use crate::archives::Scan;
-use crate::server::{self, Process, TestServer, command, finished, location, problem};
+use crate::server::{self, Process, TestServer, blobs, command, finished, location, problem};
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
 use camino::Utf8Path;
@@ -328,7 +328,7 @@ async fn an_upload_that_nobody_goes_on_with_is_removed_and_counted() {
     assert_eq!(problem(server.client.bytes(&old).await).code, "upload_expired");
     let data = server.give_back().await;
     let folder = Utf8Path::from_path(data.path()).unwrap();
-    let store = Store::open(folder, &location(folder)).await.unwrap();
+    let store = Store::open(folder, &location(folder), &blobs(folder).home().unwrap()).await.unwrap();
     let service = Service::at_rest(store.clone(), LimitsConfig::default().service_limits()).await.unwrap();
     let removed = service.let_go(Beside::Nobody).await.unwrap();
     let removed = removed.iter().find(|removed| removed.kind == "uploads in parts").unwrap();

@@ -8,7 +8,8 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use uniground::app::{self, RunningService};
 use uniground::config::{
-    AccessConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, Role, ServeConfig, VlmConfig, WebhookConfig,
+    AccessConfig, BlobsConfig, DatabaseConfig, LimitsConfig, LogConfig, LogFormat, ModelsConfig, Role, ServeConfig, VlmConfig,
+    WebhookConfig,
 };
 use uniground::store::Location;
 use uniground_client::{Client, ClientError};
@@ -32,13 +33,21 @@ pub fn location(data: &Utf8Path) -> Location {
     format!("{server}/{name}").parse().unwrap()
 }
 
-/// What tells a program of that place.
-pub fn in_database(data: &Utf8Path) -> [(&'static str, String); 1] {
+/// Where its scans and parses are kept: in the folder itself; or, where `UNIGROUND_TEST_S3` names a bucket (`s3://BUCKET`, the rest in `AWS_…`),
+/// below a prefix there that is the folder's own.
+pub fn blobs(data: &Utf8Path) -> BlobsConfig {
+    let Ok(bucket) = std::env::var("UNIGROUND_TEST_S3") else { return BlobsConfig::default() };
+    let name: String = data.as_str().chars().filter(char::is_ascii_alphanumeric).collect();
+    BlobsConfig { at: format!("{bucket}/{name}").parse().unwrap(), ..BlobsConfig::default() }
+}
+
+/// What tells a program of those places.
+pub fn in_places(data: &Utf8Path) -> [(&'static str, String); 2] {
     let place = match location(data) {
         Location::Postgres(url) => url.with_password().to_owned(),
         _ => "sqlite".to_owned(),
     };
-    [("UNIGROUND_DATABASE", place)]
+    [("UNIGROUND_DATABASE", place), ("UNIGROUND_BLOBS", blobs(data).at.to_string())]
 }
 
 /// The rows of a stopped or running server.
@@ -67,6 +76,7 @@ pub fn config(data_dir: &Utf8Path) -> ServeConfig {
     ServeConfig {
         listen: "127.0.0.1:0".parse().unwrap(),
         database: DatabaseConfig { location: location(data_dir), ..DatabaseConfig::default() },
+        blobs: blobs(data_dir),
         data_dir: data_dir.to_owned(),
         role: Role::All,
         access: AccessConfig::default(),
@@ -226,6 +236,6 @@ pub fn command(data: &Utf8Path, listen: &str) -> Command {
         .env_remove("UNIGROUND_API_KEY")
         // Whatever lies in the folder it runs in; a test that wants models says so.
         .envs([("UNIGROUND_MASKS", "builtin"), ("UNIGROUND_ENCODER", "builtin")])
-        .envs(in_database(data));
+        .envs(in_places(data));
     command
 }

@@ -9,7 +9,7 @@ use sqlx::{AssertSqlSafe, Connection, SqlSafeStr};
 use std::fs;
 use std::process::Command;
 use uniground::config::{LimitsConfig, ModelsConfig, VlmConfig};
-use uniground::store::{Location, Store};
+use uniground::store::{BlobHome, Location, Store};
 use uniground_client::Client;
 use uniground_types::answer::{Answer, Status};
 use uniground_types::batch::{BatchResult, BatchState};
@@ -291,7 +291,7 @@ async fn a_database_of_every_schema_is_brought_up_to_date_with_all_it_holds() {
         }
         let data = server.give_back().await;
         let folder = Utf8Path::from_path(data.path()).unwrap();
-        let store = Store::open(folder, &Location::Folder).await.unwrap();
+        let store = Store::open(folder, &Location::Folder, &BlobHome::Folder).await.unwrap();
         // What was put aside for calls that a server did not live to see is spent.
         let spent = [(2, 0.5), (4, 0.25)]
             .into_iter()

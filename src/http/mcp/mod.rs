@@ -67,7 +67,7 @@ impl Mcp {
     /// When what comes in is no MCP.
     pub async fn over_stdio(service: Service) -> anyhow::Result<()> {
         let handler = Self { service, local: Some(Caller::operator()) };
-        handler.serve(rmcp::transport::io::stdio()).await?.waiting().await?;
+        Box::pin(handler.serve(rmcp::transport::io::stdio())).await?.waiting().await?;
         Ok(())
     }
 

@@ -3,7 +3,7 @@
 use crate::error::Error;
 use crate::service::Service;
 use crate::service::parses::{LoadedParse, ParseFile, photograph, read_frames, read_photograph, view};
-use crate::store::Scratch;
+use crate::store::{Blobs, Kept, Scratch};
 use camino::{Utf8Path, Utf8PathBuf};
 use image::RgbImage;
 use std::collections::BTreeMap;
@@ -39,7 +39,7 @@ impl StoredScene {
     }
 
     /// A file of the parse, if it is what was written.
-    pub fn check(&self, file: &Utf8Path) -> Result<(), Error> {
+    pub fn check(&self, file: &Utf8Path) -> Result<Kept, Error> {
         self.service.check_file(&self.parse.id, file)
     }
 
@@ -51,6 +51,10 @@ impl StoredScene {
     /// What of the room is occupied, of parses asked about lately.
     pub fn known_occupancies(&self) -> &Recent<Arc<Occupancy>> {
         &self.service.parses.occupancies
+    }
+
+    pub fn blobs(&self) -> &Blobs {
+        &self.service.store.blobs
     }
 
     pub fn folder(&self) -> Utf8PathBuf {
@@ -92,7 +96,7 @@ impl SceneSource for StoredScene {
     }
 
     fn photograph(&self, frame: FrameIndex) -> Option<RgbImage> {
-        read_photograph(&self.folder(), &self.parse.content, frame)
+        read_photograph(&self.service.store.blobs, &self.folder(), &self.parse.content, frame)
     }
 
     fn render_scene(&self) -> Result<Arc<RenderScene>, Error> {
@@ -101,7 +105,7 @@ impl SceneSource for StoredScene {
             return Ok(render_scene);
         }
         let file = ParseFile::Cloud.of(&self.folder());
-        self.check(&file)?;
+        let file = self.check(&file)?;
         // Whoever asked has nothing to do with it.
         let damaged = |error| match error {
             IngestError::Io { .. } => Error::Ingest(error),
@@ -119,7 +123,11 @@ impl SceneSource for StoredScene {
             return shots.take(most).collect();
         }
         let folder = self.folder();
-        let shots = instance.views.iter().enumerate().filter_map(|(k, view)| shot(&folder, instance.id, k, view));
+        let shots = instance
+            .views
+            .iter()
+            .enumerate()
+            .filter_map(|(k, view)| shot(&self.service.store.blobs, &folder, instance.id, k, view));
         shots.take(most).collect()
     }
 
@@ -138,7 +146,10 @@ impl SceneSource for StoredScene {
     }
 
     fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, Error> {
-        let Some(frames) = read_frames(&self.folder(), &self.parse.content)? else { return Ok(None) };
+        let blobs = &self.service.store.blobs;
+        let Some(frames) = read_frames(blobs, &self.folder(), &self.parse.content)? else { return Ok(None) };
+        // Any of them may show the place.
+        let _scan = blobs.whole(&self.parse.content)?;
         let (render_scene, settings) = (self.render_scene()?, ParsingSettings::default());
         // As the parse was made: the same masks, or the built-in ones.
         let models = &self.service.models;
@@ -183,9 +194,11 @@ impl SceneSource for StoredScene {
 }
 
 /// A stored view; `None`, and a line in the log, where it can not be read. Parses from before masks were kept have drawn pictures alone.
-fn shot(parse: &Utf8Path, id: InstanceId, at: usize, of: &View) -> Option<Shot> {
+fn shot(blobs: &Blobs, parse: &Utf8Path, id: InstanceId, at: usize, of: &View) -> Option<Shot> {
     let read = |file: Utf8PathBuf| {
-        let decoded = fs::read(&file)
+        let decoded = blobs
+            .file(parse, &file)
+            .and_then(fs::read)
             .map_err(|e| e.to_string())
             .and_then(|bytes| image::load_from_memory(&bytes).map_err(|e| e.to_string()));
         decoded

@@ -2,6 +2,7 @@
 
 use super::Service;
 use crate::error::Error;
+use crate::service::parses::read;
 use crate::store::Scratch;
 use camino::Utf8Path;
 use std::collections::BTreeSet;
@@ -65,10 +66,9 @@ impl Service {
     /// A file kept with an answer.
     pub(super) async fn kept_file(&self, id: &str, file: &str) -> Result<Vec<u8>, Error> {
         self.store.answer(id).await?.ok_or_else(|| Error::AnswerNotFound { id: id.into() })?;
-        match tokio::fs::read(self.store.blobs.answer(id).join(file)).await {
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Err(Error::NoTranscript { id: id.into() }),
-            read => Ok(read?),
-        }
+        let (blobs, folder, file) = (self.store.blobs.clone(), self.store.blobs.answer(id), file.to_owned());
+        let kept = spawn_blocking(move || read(&blobs, &folder, file)).await??;
+        kept.ok_or_else(|| Error::NoTranscript { id: id.into() })
     }
 
     /// Removes what was kept for answers that are gone, in the background.

@@ -8,8 +8,8 @@ use super::Service;
 use super::answers::StoredScene;
 use super::parses::LoadedParse;
 use crate::error::Error;
+use crate::store::Kept;
 use bytes::Bytes;
-use camino::Utf8PathBuf;
 use std::sync::Arc;
 use uniground_core::scene::{Instance, InstanceId};
 use uniground_core::scene_parsing::evidence::Picture;
@@ -18,7 +18,7 @@ use uniground_types::instances::{InstanceList, InstanceView, Levels, ViewPicture
 /// A picture of an instance.
 pub enum EvidenceFile {
     /// A JPEG file.
-    Stored(Utf8PathBuf),
+    Stored(Kept),
     /// The bytes of one.
     Drawn(Bytes),
 }

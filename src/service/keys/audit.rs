@@ -88,9 +88,10 @@ mod tests {
     #[tokio::test]
     async fn what_somebody_did_who_left_is_written_down_all_the_same() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder)
-            .await
-            .unwrap();
+        let store =
+            Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder, &crate::store::BlobHome::Folder)
+                .await
+                .unwrap();
         let keys = Keyring::open(store, None).await.unwrap();
         let done = |path: &str| Done { method: "DELETE".into(), path: path.into(), status: 0, request_id: None };
         keys.noting(Caller::operator(), done("/answered")).answered(204).await;

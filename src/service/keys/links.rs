@@ -143,9 +143,10 @@ mod tests {
     #[tokio::test]
     async fn a_link_opens_its_path_until_it_is_over() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder)
-            .await
-            .unwrap();
+        let store =
+            Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder, &crate::store::BlobHome::Folder)
+                .await
+                .unwrap();
         let keys = Keyring::open(store, Some("the servers own key")).await.unwrap();
         let now = Timestamp::from_second(1_700_000_000).unwrap();
         let later = |s: i64| Timestamp::from_second(1_700_000_000 + s).unwrap();
@@ -192,9 +193,10 @@ mod tests {
     #[tokio::test]
     async fn what_was_signed_before_there_were_keys_opens_nothing_after() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder)
-            .await
-            .unwrap();
+        let store =
+            Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder, &crate::store::BlobHome::Folder)
+                .await
+                .unwrap();
         let keys = Keyring::open(store, None).await.unwrap();
         let now = Timestamp::now();
         let token = keys.links(wanted(&[SCENE.into()]), &Caller::operator(), now).unwrap().links.remove(0).token;
@@ -207,9 +209,10 @@ mod tests {
     #[tokio::test]
     async fn only_paths_of_one_thing_get_links() {
         let folder = tempfile::tempdir().unwrap();
-        let store = Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder)
-            .await
-            .unwrap();
+        let store =
+            Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder, &crate::store::BlobHome::Folder)
+                .await
+                .unwrap();
         let keys = Keyring::open(store, None).await.unwrap();
         let refused = |paths: &[&str], expires_in_s| {
             let paths = paths.iter().map(|&path| path.to_owned()).collect();

@@ -400,9 +400,10 @@ mod tests {
     use camino::Utf8Path;
 
     async fn keyring(folder: &tempfile::TempDir, own: Option<&str>) -> Keyring {
-        let store = Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder)
-            .await
-            .unwrap();
+        let store =
+            Store::open(Utf8Path::from_path(folder.path()).unwrap(), &crate::store::Location::Folder, &crate::store::BlobHome::Folder)
+                .await
+                .unwrap();
         Keyring::open(store, own).await.unwrap()
     }
 

@@ -3,10 +3,10 @@
 use super::{ParseFile, read_frames};
 use crate::error::Error;
 use crate::service::Service;
-use crate::store::Turn;
-use camino::Utf8PathBuf;
+use crate::store::{Blobs, Kept, Turn};
 use std::fs::File;
 use std::io::BufReader;
+use tokio::task::spawn_blocking;
 use uniground_core::changes::{Counterparts, Look, carried, compare, continued, pairs};
 use uniground_core::geometry::Isometry3;
 use uniground_core::ingest;
@@ -25,8 +25,9 @@ pub(super) struct Previous {
     /// With their names, as people have corrected them.
     shown: Vec<Instance>,
     corrections: Vec<Correction>,
-    folder: Utf8PathBuf,
-    content: Utf8PathBuf,
+    blobs: Blobs,
+    folder: Kept,
+    content: Kept,
 }
 
 /// What the new parse has from the one before.
@@ -55,12 +56,16 @@ impl Service {
     /// The parse that the next one of a scene that has grown goes on from.
     pub(super) async fn previous_parse(&self, parse_id: String) -> Result<Previous, Error> {
         let loaded = self.loaded_parse(&parse_id).await?;
+        let (blobs, folder, content) = (self.store.blobs.clone(), self.store.blobs.parse(&parse_id), loaded.content.clone());
+        let brought = spawn_blocking(move || Ok::<_, Error>((blobs.whole(&folder)?, blobs.whole(&content)?)));
+        let (folder, content) = brought.await??;
         Ok(Previous {
             found: self.store.instances(&parse_id).await?,
             shown: loaded.instances.clone(),
             corrections: self.store.corrections(&parse_id).await?,
-            folder: self.store.blobs.parse(&parse_id),
-            content: loaded.content.clone(),
+            blobs: self.store.blobs.clone(),
+            folder,
+            content,
             parse_id,
         })
     }
@@ -88,7 +93,7 @@ impl Previous {
         let corrections = carried(&self.corrections, &mut scan.scene, settings);
         let mut now = scan.scene.instances.clone();
         correct(&mut now, &corrections);
-        let frames_before = read_frames(&self.folder, &self.content)?.unwrap_or_default();
+        let frames_before = read_frames(&self.blobs, &self.folder, &self.content)?.unwrap_or_default();
         let is_new = |frame: &&FrameRef| frames_before.iter().all(|before| before.index != frame.index);
         let new_frames: Vec<FrameRef> = scan.frames.iter().filter(is_new).cloned().collect();
         let owner_before = owned(&self.shown, &of_point, &cloud);

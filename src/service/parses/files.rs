@@ -1,7 +1,7 @@
 //! What a parse's folder holds, by name. The only place that knows.
 
 use crate::error::Error;
-use crate::store::Scratch;
+use crate::store::{Blobs, Scratch};
 use camino::{Utf8Path, Utf8PathBuf};
 use image::RgbImage;
 use std::collections::BTreeSet;
@@ -70,16 +70,20 @@ pub fn photograph(parse: &Utf8Path, frame: FrameIndex) -> Utf8PathBuf {
 
 /// A frame's picture in colour, through a pinhole: kept beside the parse, or the scan's own; `None`, and a line in the log, where it can not be
 /// read.
-pub fn read_photograph(parse: &Utf8Path, content: &Utf8Path, frame: FrameIndex) -> Option<RgbImage> {
+pub fn read_photograph(blobs: &Blobs, parse: &Utf8Path, content: &Utf8Path, frame: FrameIndex) -> Option<RgbImage> {
     let kept = photograph(parse, frame);
-    let picture = if kept.exists() {
-        fs::read(&kept)
+    let picture = match if_kept(blobs.file(parse, &kept)) {
+        Ok(Some(file)) if file.exists() => fs::read(&file)
             .map_err(|error| error.to_string())
             .and_then(|bytes| image::load_from_memory(&bytes).map_err(|error| error.to_string()))
-            .map(image::DynamicImage::into_rgb8)
-    } else {
-        let frames = read_frames(parse, content).ok()??;
-        frames.into_iter().find(|of| of.index == frame)?.decode_colour().map_err(|error| error.to_string())
+            .map(image::DynamicImage::into_rgb8),
+        Ok(_) => {
+            let frames = read_frames(blobs, parse, content).ok()??;
+            let frame = frames.into_iter().find(|of| of.index == frame)?;
+            let colour = blobs.file(content, &frame.colour).map_err(|error| error.to_string());
+            colour.and_then(|_colour| frame.decode_colour().map_err(|error| error.to_string()))
+        }
+        Err(error) => Err(error.to_string()),
     };
     picture.inspect_err(|error| tracing::warn!(%kept, error, "a photograph can not be read")).ok()
 }
@@ -88,12 +92,9 @@ pub fn read_photograph(parse: &Utf8Path, content: &Utf8Path, frame: FrameIndex) 
 ///
 /// # Errors
 /// An unreadable file.
-pub fn read_frames(parse: &Utf8Path, content: &Utf8Path) -> Result<Option<Vec<FrameRef>>, Error> {
-    let kept: Vec<FrameRef> = match fs::read(parse.join(FRAMES)) {
-        Ok(bytes) => serde_json::from_slice(&bytes)?,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-        Err(error) => return Err(error.into()),
-    };
+pub fn read_frames(blobs: &Blobs, parse: &Utf8Path, content: &Utf8Path) -> Result<Option<Vec<FrameRef>>, Error> {
+    let Some(bytes) = read(blobs, parse, FRAMES)? else { return Ok(None) };
+    let kept: Vec<FrameRef> = serde_json::from_slice(&bytes)?;
     Ok(Some(kept.into_iter().map(|frame| frame.with_paths(|path| content.join(path))).collect()))
 }
 
@@ -108,24 +109,33 @@ fn write_frames(frames: &[FrameRef], content: &Utf8Path, parse: &Utf8Path) -> Re
 ///
 /// # Errors
 /// Unreadable files.
-pub async fn read_embeddings(parse: &Utf8Path) -> Result<Option<Embeddings>, Error> {
-    match tokio::fs::read(ParseFile::Embeddings.of(parse)).await {
-        Ok(rows) => Ok(Some(Embeddings::read(&rows, &tokio::fs::read(parse.join(NORMS)).await?)?)),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(error.into()),
-    }
+pub fn read_embeddings(blobs: &Blobs, parse: &Utf8Path) -> Result<Option<Embeddings>, Error> {
+    let Some(rows) = read(blobs, parse, ParseFile::Embeddings.of(parse))? else { return Ok(None) };
+    Ok(Some(Embeddings::read(&rows, &fs::read(blobs.file(parse, NORMS.into())?)?)?))
 }
 
 /// What an encoder has seen of frames as a whole; `None` too in parses from before that was kept.
 ///
 /// # Errors
 /// Unreadable files.
-pub async fn read_frame_embeddings(parse: &Utf8Path) -> Result<Option<FrameEmbeddings>, Error> {
-    let [rows, frames] = FRAME_EMBEDDINGS.map(|file| parse.join(file));
-    match tokio::fs::read(rows).await {
-        Ok(rows) => Ok(Some(FrameEmbeddings::read(&rows, &tokio::fs::read(frames).await?)?)),
+pub fn read_frame_embeddings(blobs: &Blobs, parse: &Utf8Path) -> Result<Option<FrameEmbeddings>, Error> {
+    let [rows, frames] = FRAME_EMBEDDINGS;
+    let Some(rows) = read(blobs, parse, rows)? else { return Ok(None) };
+    Ok(Some(FrameEmbeddings::read(&rows, &fs::read(blobs.file(parse, frames.into())?)?)?))
+}
+
+/// A file of a published folder; `None` where it was published without; blocks.
+///
+/// # Errors
+/// An unreadable file; that the object store can not be used.
+pub fn read(blobs: &Blobs, folder: &Utf8Path, file: impl AsRef<Utf8Path>) -> io::Result<Option<Vec<u8>>> {
+    if_kept(blobs.file(folder, file.as_ref()).and_then(fs::read))
+}
+
+fn if_kept<T>(got: io::Result<T>) -> io::Result<Option<T>> {
+    match got {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(error.into()),
+        got => got.map(Some),
     }
 }
 

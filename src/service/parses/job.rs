@@ -3,15 +3,18 @@
 use super::{files, settings_hash};
 use crate::error::Error;
 use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
-use crate::service::{Service, job_failure};
+use crate::service::{Service, job_failure, until_cancelled};
 use crate::store::{Continued, NewParse, SceneRow};
 use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::task::spawn_blocking;
+use tokio::time::{sleep, timeout};
 use uniground_core::ingest::Grown;
 use uniground_core::parse::{ParsedScan, STAGE_1_VERSION, chosen, cut_scan, import_scan, share_of_import};
+use uniground_core::progress::Progress;
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
 
@@ -65,20 +68,45 @@ impl JobKind for ParseJob {
 
     async fn run(&self, job: JobContext<Payload>) -> Result<String, JobFailure> {
         let scene_id = job.payload.scene_id.clone();
-        let told = self.0.run_parse(job).await.map_err(job_failure)?;
+        let told = loop {
+            match self.0.run_parse(&job).await {
+                // What is done is kept: nothing is computed twice.
+                Err(error) if error.is_blobs_away() && self.0.blobs_come_back(&job.progress).await => {
+                    tracing::warn!(error = &error as &dyn std::error::Error, "the object store was away: the parse goes on");
+                }
+                done => break done.map_err(job_failure)?,
+            }
+        };
         self.0.name_when_parsed(&scene_id).await;
         Ok(told)
     }
 }
 
 impl Service {
-    async fn run_parse(&self, JobContext { hold, payload, progress }: JobContext<Payload>) -> Result<String, Error> {
-        let (Payload { scene_id, settings }, job_id) = (payload, hold.job_id.clone());
-        let scene = self.scene_row(&scene_id).await?;
-        if self.take_stored_parse(&scene, &settings, &job_id).await? {
+    /// Waits until the object store can be had again; whether it can, before that takes too long or the job is to stop.
+    async fn blobs_come_back(&self, progress: &Progress) -> bool {
+        const PATIENCE: Duration = Duration::from_mins(10);
+        const LOOK_EVERY: Duration = Duration::from_secs(2);
+        let back = async {
+            while self.store.health().await.blobs.is_some() {
+                sleep(LOOK_EVERY).await;
+            }
+        };
+        tokio::select! {
+            back = timeout(PATIENCE, back) => back.is_ok(),
+            _ = until_cancelled(progress) => false,
+        }
+    }
+
+    async fn run_parse(&self, JobContext { hold, payload, progress }: &JobContext<Payload>) -> Result<String, Error> {
+        let (Payload { scene_id, settings }, job_id, progress) = (payload, hold.job_id.as_str(), progress.clone());
+        let scene = self.scene_row(scene_id).await?;
+        if self.take_stored_parse(&scene, settings, job_id).await? {
             return Ok(STORED_PARSE_USED.into());
         }
-        let (content, hash) = (self.store.blobs.content(&scene.content_hash), scene.content_hash.clone());
+        let (blobs, content, hash) = (self.store.blobs.clone(), self.store.blobs.content(&scene.content_hash), scene.content_hash.clone());
+        // Read from the import to the pictures of the report.
+        let content = Arc::new(spawn_blocking(move || blobs.whole(&content)).await??);
         // Every stage works on what the import made of the content; of a scan that has grown, of what it began with.
         let grown_from = first_upload(&content).await?;
         let origin = serde_json::to_string(&(STAGE_1_VERSION, grown_from.as_ref().unwrap_or(&scene.content_hash), &settings.import))?;
@@ -98,10 +126,13 @@ impl Service {
                 Ok::<_, Error>(cut_scan(scan, &job_settings, &models, &checkpoints, &parsing.part(imported, 1.0))?)
             })
         };
-        let mut scan = spawn_blocking(work).await??;
+        let stages = self.store.blobs.keep_stages(&scene.content_hash);
+        let cut = spawn_blocking(work).await?;
+        stages.finish().await;
+        let mut scan = cut?;
         // What people say of the scene from here on is of the parse that is being written.
         let turn = match grown_from {
-            Some(_) if self.scene_row(&scene_id).await?.parse_id.is_some() => Some(self.turn_at_parse(&scene_id).await?),
+            Some(_) if self.scene_row(scene_id).await?.parse_id.is_some() => Some(self.turn_at_parse(scene_id).await?),
             _ => None,
         };
         let previous = match &turn {
@@ -130,16 +161,16 @@ impl Service {
             .insert_parse(NewParse {
                 id: &id,
                 content_hash: &scene.content_hash,
-                settings_hash: &settings_hash(&settings, &models)?,
-                settings: &settings,
+                settings_hash: &settings_hash(settings, &models)?,
+                settings,
                 models: &models,
                 import: &import,
                 report: &parsed.report,
                 extent: &parsed.extent,
                 instances: &parsed.instances,
-                hold: &hold,
+                hold,
                 continued: inherited.as_ref().map(|inherited| Continued {
-                    scene_id: &scene_id,
+                    scene_id,
                     from_parse: &inherited.parse_id,
                     changes: &inherited.changes,
                     corrections: &inherited.corrections,
@@ -147,12 +178,12 @@ impl Service {
             })
             .await?;
         if inserted {
-            self.store.set_scene_parse(&scene_id, &id, &job_id).await?;
+            self.store.set_scene_parse(scene_id, &id, job_id).await?;
         } else {
             // Somebody parsed the same meanwhile, or the scene is gone.
             self.store.blobs.discard(self.store.blobs.parse(&id)).await?;
-            if !self.take_stored_parse(&scene, &settings, &job_id).await? {
-                return Err(Error::SceneNotFound { id: scene_id });
+            if !self.take_stored_parse(&scene, settings, job_id).await? {
+                return Err(Error::SceneNotFound { id: scene_id.clone() });
             }
         }
         drop(turn);

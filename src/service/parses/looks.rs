@@ -1,10 +1,10 @@
 //! A parse for who looks at it: points, a small picture, the photographs and where they were taken from.
 
-use super::{ParseFile, photograph, read_frames, read_photograph, view};
+use super::{Download, ParseFile, photograph, read_frames, read_photograph, view};
 use crate::error::Error;
 use crate::service::answers::StoredScene;
 use crate::service::{EvidenceFile, Service};
-use crate::store::Scratch;
+use crate::store::{Kept, Scratch};
 use bytes::Bytes;
 use camino::Utf8PathBuf;
 use std::fs::File;
@@ -22,10 +22,14 @@ impl Service {
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ParseDamaged`].
-    pub async fn points(&self, scene_id: &str) -> Result<Utf8PathBuf, Error> {
+    pub async fn points(&self, scene_id: &str) -> Result<Download, Error> {
+        let (_, parse_id) = self.ready_scene(scene_id).await?;
+        if let Some(link) = self.link_to(&parse_id, ParseFile::Points).await? {
+            return Ok(Download::There(link));
+        }
         let (scene, file) = self.kept(scene_id, ParseFile::Points).await?;
         if let Some(file) = file {
-            return Ok(file);
+            return Ok(Download::Here(file));
         }
         let made = self.draw(scene, |service, scene| {
             if let Some(made) = service.parses.points.get(&scene.parse.id) {
@@ -35,7 +39,7 @@ impl Service {
             service.parses.points.put(scene.parse.id.clone(), made.clone(), 1);
             Ok(made)
         });
-        Ok(made.await?.path().join(POINTS))
+        Ok(Download::Here(made.await?.path().join(POINTS).into()))
     }
 
     /// The room of a scene's current parse, small.
@@ -70,14 +74,14 @@ impl Service {
     }
 
     /// A file of a scene's current parse; `None` in a parse from before it was kept.
-    async fn kept(&self, scene_id: &str, file: ParseFile) -> Result<(Arc<StoredScene>, Option<Utf8PathBuf>), Error> {
+    async fn kept(&self, scene_id: &str, file: ParseFile) -> Result<(Arc<StoredScene>, Option<Kept>), Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         let file = self.if_kept(&scene, file.of(&scene.folder())).await?;
         Ok((scene, file))
     }
 
-    async fn if_kept(&self, scene: &StoredScene, path: Utf8PathBuf) -> Result<Option<Utf8PathBuf>, Error> {
+    async fn if_kept(&self, scene: &StoredScene, path: Utf8PathBuf) -> Result<Option<Kept>, Error> {
         let (blobs, folder, file) = (self.store.blobs.clone(), scene.folder(), path.clone());
         let is_kept = spawn_blocking(move || blobs.holds(&folder, &file)).await??;
         Ok(if is_kept { Some(self.sound_file(&scene.parse.id, path).await?) } else { None })
@@ -111,10 +115,11 @@ impl Service {
             }
             let (parse, folder) = (&scene.parse, scene.folder());
             let kept = photograph(&folder, seen.frame);
-            if service.store.blobs.holds(&folder, &kept)? {
-                scene.check(&kept)?;
-            }
-            let photograph = read_photograph(&folder, &parse.content, seen.frame);
+            let _kept = match service.store.blobs.holds(&folder, &kept)? {
+                true => Some(scene.check(&kept)?),
+                false => None,
+            };
+            let photograph = read_photograph(&service.store.blobs, &folder, &parse.content, seen.frame);
             Ok(photograph.map(|photograph| Bytes::from(evidence::picture(&photograph, &seen, picture))))
         });
         let Some(drawn) = drawn.await? else { return Ok(None) };
@@ -131,7 +136,8 @@ impl Service {
     pub async fn frames(&self, scene_id: &str) -> Result<FrameList, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let (folder, content) = (self.store.blobs.parse(&parse_id), self.loaded_parse(&parse_id).await?.content.clone());
-        let frames = spawn_blocking(move || read_frames(&folder, &content)).await??;
+        let blobs = self.store.blobs.clone();
+        let frames = spawn_blocking(move || read_frames(&blobs, &folder, &content)).await??;
         let view = |frame: FrameRef| {
             let Intrinsics { width, height, fx, fy, cx, cy } = frame.colour_intrinsics;
             let pose = frame.camera_to_world.to_homogeneous();
@@ -150,12 +156,21 @@ impl Service {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         let scene = StoredScene::new(self.clone(), self.loaded_parse(&parse_id).await?);
         let (folder, content) = (scene.folder(), scene.parse.content.clone());
-        let frames = spawn_blocking(move || read_frames(&folder, &content)).await??.unwrap_or_default();
-        let frame = frames.into_iter().find(|frame| frame.index.0 == index).ok_or(Error::FrameNotFound { index })?;
+        let blobs = self.store.blobs.clone();
+        let found = spawn_blocking(move || {
+            let frames = read_frames(&blobs, &folder, &content)?.unwrap_or_default();
+            let frame = frames.into_iter().find(|frame| frame.index.0 == index).ok_or(Error::FrameNotFound { index })?;
+            let colour = blobs.file(&content, &frame.colour)?;
+            Ok::<_, Error>((frame, colour))
+        });
+        let (frame, colour) = found.await??;
         if !with_instances {
-            return Ok(EvidenceFile::Stored(frame.colour));
+            return Ok(EvidenceFile::Stored(colour));
         }
-        let drawn = self.draw(scene, move |_, scene| scene.photograph_with_instances(&frame));
+        let drawn = self.draw(scene, move |_, scene| {
+            let _colour = colour;
+            scene.photograph_with_instances(&frame)
+        });
         drawn.await.map(|jpeg| EvidenceFile::Drawn(jpeg.into()))
     }
 }
@@ -166,8 +181,8 @@ impl StoredScene {
     /// The things points belong to, as stage 1 has found them.
     pub fn instance_of_point(&self) -> Result<Vec<InstanceId>, Error> {
         let file = ParseFile::Instances.of(&self.folder());
-        self.check(&file)?;
-        Ok(read_instance_of_point(BufReader::new(File::open(file)?))?)
+        let file = self.check(&file)?;
+        Ok(read_instance_of_point(BufReader::new(File::open(&file)?))?)
     }
 
     /// What parses of today keep, made of one from before.

@@ -9,13 +9,13 @@ mod report_files;
 mod reports;
 
 pub use cache::{LoadedParse, ParseCache};
-pub use files::{ParseFile, photograph, read_frames, read_photograph, view};
+pub use files::{ParseFile, photograph, read, read_frames, read_photograph, view};
 pub use job::ParseJob;
 
 use super::{Caller, Service};
 use crate::error::Error;
 use crate::jobs::{Job, JobKind};
-use crate::store::{Damage, Look, NewJob, ParseRecord};
+use crate::store::{Damage, Kept, Look, NewJob, ParseRecord};
 use camino::{Utf8Path, Utf8PathBuf};
 use job::Payload;
 use sha2::{Digest, Sha256};
@@ -30,6 +30,13 @@ use uniground_core::parse::{STAGE_1_VERSION, chosen, names_of};
 use uniground_core::scene::correct;
 use uniground_types::corrections::{Change, Correction};
 use uniground_types::settings::{ParseModels, ParsePreset, ParseSettings};
+
+/// A file somebody asks for.
+pub enum Download {
+    Here(Kept),
+    /// An address of the object store's that works for a while.
+    There(String),
+}
 
 impl Service {
     /// The models a parse started now is made with, unless it asks for others.
@@ -98,12 +105,21 @@ impl Service {
     ///
     /// # Errors
     /// [`Error::SceneNotFound`], [`Error::SceneNotReady`]; [`Error::NoEmbeddings`] when no encoder has seen the scene.
-    pub async fn parse_file(&self, scene_id: &str, file: ParseFile) -> Result<Utf8PathBuf, Error> {
+    pub async fn parse_file(&self, scene_id: &str, file: ParseFile) -> Result<Download, Error> {
         let (_, parse_id) = self.ready_scene(scene_id).await?;
         if file == ParseFile::Embeddings && self.loaded_parse(&parse_id).await?.embeddings.is_none() {
             return Err(Error::NoEmbeddings { scene_id: scene_id.into() });
         }
-        self.sound_file(&parse_id, file.of(&self.store.blobs.parse(&parse_id))).await
+        match self.link_to(&parse_id, file).await? {
+            Some(link) => Ok(Download::There(link)),
+            None => Ok(Download::Here(self.sound_file(&parse_id, file.of(&self.store.blobs.parse(&parse_id))).await?)),
+        }
+    }
+
+    /// Where the object store itself has a file of a parse, if callers are sent there.
+    async fn link_to(&self, parse_id: &str, file: ParseFile) -> Result<Option<String>, Error> {
+        let (blobs, folder) = (self.store.blobs.clone(), self.store.blobs.parse(parse_id));
+        Ok(spawn_blocking(move || blobs.link(&folder, &file.of(&folder))).await??)
     }
 
     /// The parse of a content under these settings and the models they choose, where there is one and its files are.
@@ -141,33 +157,36 @@ impl Service {
     ///
     /// # Errors
     /// [`Error::ParseDamaged`]: it is lost or damaged, and the parse is being made anew.
-    pub(super) async fn sound_file(&self, parse_id: &str, file: Utf8PathBuf) -> Result<Utf8PathBuf, Error> {
-        let (service, id, path) = (self.clone(), parse_id.to_owned(), file.clone());
-        match spawn_blocking(move || service.check_file(&id, &path)).await? {
-            Ok(()) => Ok(file),
+    pub(super) async fn sound_file(&self, parse_id: &str, file: Utf8PathBuf) -> Result<Kept, Error> {
+        let (service, id) = (self.clone(), parse_id.to_owned());
+        match spawn_blocking(move || service.check_file(&id, &file)).await? {
             Err(error) => Err(self.after_damage(error).await),
+            checked => checked,
         }
     }
 
-    /// Whether a file of a parse is what was written; blocks. What was looked at once and has not changed since is believed.
-    pub(super) fn check_file(&self, parse_id: &str, file: &Utf8Path) -> Result<(), Error> {
+    /// A file of a parse, if it is what was written; blocks. What was looked at once and has not changed since is believed.
+    pub(super) fn check_file(&self, parse_id: &str, file: &Utf8Path) -> Result<Kept, Error> {
         let damaged = |what: String| Error::ParseDamaged { parse_id: parse_id.to_owned(), what };
-        let stamp = |file: &Utf8Path| fs::metadata(file).and_then(|m| Ok((m.len(), m.modified()?)));
-        let now = stamp(file).map_err(|error| match error.kind() {
+        let of = |error: io::Error| match error.kind() {
             io::ErrorKind::NotFound => damaged(format!("{} is missing", file.file_name().unwrap_or_default())),
+            io::ErrorKind::InvalidData => damaged(error.to_string()),
             // A disk that fails for a moment has lost nothing.
             _ => Error::Io(error),
-        })?;
-        if self.parses.sound.get(file.as_str()) == Some(now) {
-            return Ok(());
-        }
+        };
+        let stamp = |file: &Utf8Path| fs::metadata(file).and_then(|m| Ok((m.len(), m.modified()?)));
         let folder = self.store.blobs.parse(parse_id);
+        let kept = self.store.blobs.file(&folder, file).map_err(of)?;
+        let now = stamp(file).map_err(of)?;
+        if self.parses.sound.get(file.as_str()) == Some(now) {
+            return Ok(kept);
+        }
         let name = file.strip_prefix(&folder).unwrap_or(file);
-        if let Some(Damage { file, what }) = self.store.blobs.look_at(&folder, name)? {
+        if let Some(Damage { file, what }) = self.store.blobs.look_at(&folder, name).map_err(of)? {
             return Err(damaged(format!("{file}: {what}")));
         }
-        self.parses.sound.put(file.to_string(), now, 1);
-        Ok(())
+        self.parses.sound.put(file.to_string(), stamp(file).map_err(of)?, 1);
+        Ok(kept)
     }
 
     /// Has a damaged parse made anew, if that is what an error is about.
@@ -213,12 +232,16 @@ impl Service {
         let corrections = self.store.corrections(parse_id).await?;
         correct(&mut instances, &corrections);
         // What was found since no encoder has seen; what was merged looks like its members together.
-        let embeddings = files::read_embeddings(&self.store.blobs.parse(parse_id)).await?.map(|seen| {
+        let (blobs, folder) = (self.store.blobs.clone(), self.store.blobs.parse(parse_id));
+        let seen = spawn_blocking(move || {
+            Ok::<_, Error>((files::read_embeddings(&blobs, &folder)?, files::read_frame_embeddings(&blobs, &folder)?))
+        });
+        let (embeddings, frame_embeddings) = seen.await??;
+        let embeddings = embeddings.map(|seen| {
             let seen = seen.padded_to(instances.len());
             let merged = instances.iter().enumerate().filter(|(_, instance)| !instance.merged_from.is_empty());
             merged.fold(seen, |seen, (at, merged)| seen.with_mean(merged.merged_from.iter().map(|id| id.0 as usize - 1), at))
         });
-        let frame_embeddings = files::read_frame_embeddings(&self.store.blobs.parse(parse_id)).await?;
         let around = || Aabb::around(&instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>());
         Ok(LoadedParse {
             id: parse_id.to_owned(),

@@ -1,10 +1,12 @@
 //! The pictures of a parse on disk: `report/<name>.jpg` and their titles in `report/index.json`, below the parse's folder.
 
+use super::files::read;
 use crate::error::Error;
+use crate::store::Blobs;
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
 use std::fs;
-use std::io;
+use tokio::task::spawn_blocking;
 use uniground_core::scene_parsing::report_pictures::ReportPicture;
 
 const FOLDER: &str = "report";
@@ -34,10 +36,7 @@ pub(super) fn picture(parse: &Utf8Path, name: &str) -> Utf8PathBuf {
 }
 
 /// All pictures of a parse. Parses of earlier versions have none.
-pub(super) async fn index(parse: &Utf8Path) -> Result<Vec<Entry>, Error> {
-    match tokio::fs::read(parse.join(FOLDER).join(INDEX)).await {
-        Ok(bytes) => Ok(serde_json::from_slice(&bytes)?),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
-        Err(error) => Err(error.into()),
-    }
+pub(super) async fn index(blobs: Blobs, parse: Utf8PathBuf) -> Result<Vec<Entry>, Error> {
+    let index = spawn_blocking(move || read(&blobs, &parse, parse.join(FOLDER).join(INDEX))).await??;
+    index.map_or_else(|| Ok(Vec::new()), |bytes| Ok(serde_json::from_slice(&bytes)?))
 }

@@ -4,7 +4,7 @@ use crate::error::Error;
 use crate::service::Service;
 use crate::service::answers::StoredScene;
 use crate::service::parses::read_frames;
-use crate::store::SceneRow;
+use crate::store::{Kept as KeptFolder, SceneRow};
 use std::sync::Arc;
 use uniground_core::changes::{Aligned, Counterparts, Look, SAME_PLACE_M, align, compare, pairs};
 use uniground_core::geometry::{Isometry3, Vector3};
@@ -116,6 +116,8 @@ struct Kept {
     scene: Arc<RenderScene>,
     owner_of_point: Vec<InstanceId>,
     frames: Vec<FrameRef>,
+    /// What the frames are read from.
+    _scan: KeptFolder,
 }
 
 impl Kept {
@@ -124,8 +126,10 @@ impl Kept {
         let owners = Owners::of(&of_point, scene.instances());
         let owned = of_point.iter().zip(&render_scene.cloud.positions).map(|(found, p)| owners.of_point(*found, p));
         let owner_of_point = owned.collect();
-        let frames = read_frames(&scene.folder(), &scene.parse.content)?.unwrap_or_default();
-        Ok(Self { scene: render_scene, owner_of_point, frames })
+        let blobs = scene.blobs();
+        let scan = blobs.whole(&scene.parse.content)?;
+        let frames = read_frames(blobs, &scene.folder(), &scene.parse.content)?.unwrap_or_default();
+        Ok(Self { scene: render_scene, owner_of_point, frames, _scan: scan })
     }
 
     fn look<'a>(&'a self, scene: &'a StoredScene) -> Look<'a> {

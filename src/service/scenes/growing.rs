@@ -122,7 +122,7 @@ impl Service {
         check: impl FnOnce(&Utf8Path) -> Result<(), Error>,
     ) -> Result<String, Error> {
         let blobs = &self.store.blobs;
-        let content = blobs.content(&scene.content_hash);
+        let content = blobs.whole(&blobs.content(&scene.content_hash))?;
         let so_far = Grown::read(&content)?;
         let mut grown = so_far.clone().unwrap_or_else(|| Grown::from_upload(&scene.content_hash));
         if grown.parts.len() > MOST_PARTS {

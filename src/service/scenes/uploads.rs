@@ -5,7 +5,7 @@ use crate::error::Error;
 use crate::jobs::Job;
 use crate::service::parses::WantedParse;
 use crate::service::{Caller, MAX_UPLOADS, ParseJob, Service};
-use crate::store::{Inserted, Look, NewSceneRow, SceneRow, Scratch};
+use crate::store::{Inserted, Look, NewSceneRow, Prepared, SceneRow};
 use bytes::Bytes;
 use camino::{Utf8Path, Utf8PathBuf};
 use futures::Stream;
@@ -56,7 +56,7 @@ pub struct Asked {
 
 /// An archive unpacked and found to be a scan.
 struct Unpacked {
-    folder: Scratch,
+    folder: Prepared,
     /// What it calls itself.
     name: String,
 }
@@ -191,8 +191,8 @@ impl Service {
         // Again, with nobody beside: several uploads at once must not come to more.
         self.check_quota(caller).await?;
         if let Some(Unpacked { folder, .. }) = unpacked {
-            let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(&received.hash));
-            spawn_blocking(move || blobs.publish(folder, &content)).await??;
+            let blobs = self.store.blobs.clone();
+            spawn_blocking(move || blobs.publish_prepared(folder)).await??;
         }
         let id = self.store.new_id();
         let wanted = match &parse {
@@ -281,7 +281,7 @@ impl Service {
         receiving.finish(path, Some(file), file_name)
     }
 
-    /// Unpacks what came and puts it through the importer's checks.
+    /// Unpacks what came, puts it through the importer's checks, and has all of it ready to be published.
     async fn unpack(&self, received: Arc<Received>) -> Result<Unpacked, Error> {
         let (blobs, limits) = (self.store.blobs.clone(), self.limits.unpack);
         spawn_blocking(move || {
@@ -292,6 +292,7 @@ impl Service {
                 file.as_file().set_len(0)?;
             }
             let name = name_or_scene(ingest::open(folder.path())?.name);
+            let folder = blobs.prepare(folder, &blobs.content(&received.hash))?;
             Ok(Unpacked { folder, name })
         })
         .await?
@@ -299,8 +300,12 @@ impl Service {
 
     /// What a stored archive calls itself.
     async fn archive_name(&self, hash: &str) -> Result<String, Error> {
-        let content = self.store.blobs.content(hash);
-        let read = spawn_blocking(move || ingest::open(&content)).await?;
+        let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(hash));
+        let read = spawn_blocking(move || {
+            let scan = blobs.whole(&content)?;
+            Ok::<_, Error>(ingest::open(&scan)?)
+        });
+        let read = read.await?;
         // Removed in between: it is unpacked again, and called what scenes without a name are called.
         Ok(name_or_scene(read.ok().and_then(|scan| scan.name)))
     }

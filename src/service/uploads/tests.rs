@@ -1,6 +1,6 @@
 use super::*;
 use crate::service::Limits;
-use crate::store::{Location, Store};
+use crate::store::{BlobHome, Location, Store};
 use bytes::Bytes;
 use camino::Utf8Path;
 use futures::stream;
@@ -24,7 +24,9 @@ struct Rested {
 
 impl Rested {
     async fn over(data: TempDir) -> Self {
-        let store = Store::open(Utf8Path::from_path(data.path()).unwrap(), &Location::Folder).await.unwrap();
+        let store = Store::open(Utf8Path::from_path(data.path()).unwrap(), &Location::Folder, &BlobHome::Folder)
+            .await
+            .unwrap();
         let limits = Limits {
             max_upload_bytes: 1 << 30,
             max_unfinished_uploads: 10,

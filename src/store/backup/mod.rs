@@ -112,10 +112,10 @@ pub async fn back_up(data_dir: &Utf8Path, target: Target) -> Result<BackedUp, Ba
         if engine != Engine::Sqlite {
             return Err(StoreError::OnlyOfSqlite { kept_in: engine.name() }.into());
         }
-        Ok::<_, BackupError>((id, Sink::open(opened, &path)?))
+        let source = Blobs::look_only(&path)?;
+        Ok::<_, BackupError>((id, source, Sink::open(opened, &path)?))
     });
-    let (id, mut sink) = opening.await.map_err(io::Error::other)??;
-    let source = Blobs::look_only(data_dir);
+    let (id, source, mut sink) = opening.await.map_err(io::Error::other)??;
     let mut progress = Progress::default();
     for _ in 0..ROUNDS {
         let snapshot = Snapshot::take(&data_dir.join(super::data_folder::DATABASE), sink.room_for_database()).await?;

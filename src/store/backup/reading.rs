@@ -152,7 +152,7 @@ mod tests {
         fs::write(folder.join("views/1.jpg"), "picture").unwrap();
         let both = [("cloud.ply".to_owned(), b"points".to_vec()), ("views/1.jpg".to_owned(), b"picture".to_vec())];
         assert_eq!(taken(folder).unwrap(), both, "also without sums");
-        checksums::seal(folder, &checksums::Sums::new()).unwrap();
+        checksums::seal(folder, &checksums::Sums::new(), "").unwrap();
         assert_eq!(taken(folder).unwrap(), both);
         fs::write(folder.join("views/1.jpg"), "pictura").unwrap();
         assert_eq!(taken(folder).unwrap_err(), "Damaged(\"views/1.jpg damaged\")");

@@ -1,8 +1,8 @@
 //! What is kept for a time only: how old it is, and how large.
 
 use super::Blobs;
-use camino::{Utf8Path, Utf8PathBuf};
-use std::fs::{self, File};
+use camino::Utf8Path;
+use std::fs;
 use std::io;
 use std::time::{Duration, SystemTime};
 
@@ -15,15 +15,24 @@ pub struct KeptCheckpoints {
 }
 
 impl Blobs {
-    /// Folders of a kind that are older, by name.
+    /// Published folders of a kind that are older, by name.
     ///
     /// # Errors
-    /// Those of the file system.
-    pub fn older_than(&self, kind: &str, age: Duration, now: SystemTime) -> io::Result<Vec<String>> {
+    /// Those of the file system; that the object store can not be used.
+    pub fn older_than(&self, kind: &'static str, age: Duration, now: SystemTime) -> io::Result<Vec<String>> {
+        let is_old = |made: SystemTime| now.duration_since(made).unwrap_or_default() > age;
+        if let Some(shared) = &self.shared {
+            let found = shared.objects.wait(shared.objects.folders(kind))?;
+            return Ok(found
+                .into_iter()
+                .filter(|(_, found)| found.sealed.is_some_and(is_old))
+                .map(|(name, _)| name)
+                .collect());
+        }
         let mut old = Vec::new();
         for name in self.names(kind)? {
             match fs::metadata(self.place(kind, &name)).and_then(|folder| folder.modified()) {
-                Ok(made) if now.duration_since(made).unwrap_or_default() > age => old.push(name),
+                Ok(made) if is_old(made) => old.push(name),
                 Ok(_) => {}
                 // Somebody else removed it.
                 Err(error) if error.kind() == io::ErrorKind::NotFound => {}
@@ -31,31 +40,6 @@ impl Blobs {
             }
         }
         Ok(old)
-    }
-
-    /// The folder for finished stages of a content, made where there is none, and in use from now on.
-    ///
-    /// # Errors
-    /// Those of the file system.
-    pub fn use_checkpoints(&self, hash: &str) -> io::Result<Utf8PathBuf> {
-        let folder = self.checkpoints(hash);
-        fs::create_dir_all(&folder)?;
-        File::open(&folder)?.set_modified(SystemTime::now())?;
-        Ok(folder)
-    }
-
-    /// All finished stages that are kept, those first that were not used for longest.
-    ///
-    /// # Errors
-    /// Those of the file system.
-    pub fn kept_checkpoints(&self) -> io::Result<Vec<KeptCheckpoints>> {
-        let mut kept = Vec::new();
-        for hash in self.names("checkpoints")? {
-            let (bytes, used) = measure(&self.checkpoints(&hash))?;
-            kept.push(KeptCheckpoints { hash, bytes, used });
-        }
-        kept.sort_by(|a, b| a.used.cmp(&b.used).then_with(|| a.hash.cmp(&b.hash)));
-        Ok(kept)
     }
 }
 
@@ -68,7 +52,7 @@ pub fn size_of(path: &Utf8Path) -> io::Result<u64> {
 }
 
 /// Bytes below a folder, and when anything there changed last. What goes away meanwhile counts no more.
-fn measure(path: &Utf8Path) -> io::Result<(u64, SystemTime)> {
+pub(super) fn measure(path: &Utf8Path) -> io::Result<(u64, SystemTime)> {
     let (mut bytes, mut changed, mut left) = (0, SystemTime::UNIX_EPOCH, vec![path.to_owned()]);
     while let Some(path) = left.pop() {
         let looked = fs::symlink_metadata(&path).and_then(|entry| {
@@ -93,11 +77,12 @@ fn measure(path: &Utf8Path) -> io::Result<(u64, SystemTime)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::fs::File;
 
     const DAY: Duration = Duration::from_hours(24);
 
     fn opened(data: &tempfile::TempDir) -> Blobs {
-        Blobs::open(Utf8Path::from_path(data.path()).unwrap()).unwrap()
+        Blobs::open(Utf8Path::from_path(data.path()).unwrap(), &super::super::BlobHome::Folder, super::super::Files::Used).unwrap()
     }
 
     #[test]

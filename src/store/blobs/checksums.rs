@@ -33,22 +33,20 @@ pub enum Look {
 /// Sums that are known, by file.
 pub type Sums = BTreeMap<Utf8PathBuf, String>;
 
-/// Writes down what `folder` holds and puts all of it on the disk. Files whose sums are known are not read again.
-pub fn seal(folder: &Utf8Path, known: &Sums) -> io::Result<()> {
+/// Writes down what `folder` holds, after `head`, and puts all of it on the disk. Files whose sums are known are not read again.
+pub fn seal(folder: &Utf8Path, known: &Sums, head: &str) -> io::Result<()> {
     let files = files_below(folder)?;
     if files.len() <= SYNC_ONE_BY_ONE {
-        fs::write(folder.join(SUMS), sums_of(folder, &files, known)?)?;
+        fs::write(folder.join(SUMS), sums_of(folder, &files, known, head)?)?;
         let folders: std::collections::BTreeSet<_> =
             files.iter().filter_map(|file| file.parent()).map(|parent| folder.join(parent)).collect();
-        for path in files.iter().map(|file| folder.join(file)).chain([folder.join(SUMS)]).chain(folders) {
-            File::open(path)?.sync_all()?;
-        }
-        return File::open(folder)?.sync_all();
+        let paths = files.iter().map(|file| folder.join(file)).chain([folder.join(SUMS)]).chain(folders);
+        return sync(folder, files.len(), paths);
     }
     // The disk writes while the sums are made; what is left is the sums themselves.
     let sums = std::thread::scope(|scope| {
         let synced = scope.spawn(|| sync_everything(folder));
-        let sums = sums_of(folder, &files, known)?;
+        let sums = sums_of(folder, &files, known, head)?;
         synced.join().map_err(|_| io::Error::other("the disk could not be waited for"))??;
         Ok::<_, io::Error>(sums)
     })?;
@@ -56,8 +54,17 @@ pub fn seal(folder: &Utf8Path, known: &Sums) -> io::Result<()> {
     sync_everything(folder)
 }
 
-fn sums_of(folder: &Utf8Path, files: &[Utf8PathBuf], known: &Sums) -> io::Result<String> {
-    let mut sums = String::new();
+/// Puts so many files of a folder on the disk: these, one by one, or everything where they are many.
+pub fn sync(folder: &Utf8Path, files: usize, mut paths: impl Iterator<Item = Utf8PathBuf>) -> io::Result<()> {
+    if files > SYNC_ONE_BY_ONE {
+        return sync_everything(folder);
+    }
+    paths.try_for_each(|path| File::open(path)?.sync_all())?;
+    File::open(folder)?.sync_all()
+}
+
+fn sums_of(folder: &Utf8Path, files: &[Utf8PathBuf], known: &Sums, head: &str) -> io::Result<String> {
+    let mut sums = head.to_owned();
     for file in files {
         let sum = known.get(file).map_or_else(|| hash_of(&folder.join(file)), |sum| Ok(sum.clone()))?;
         let _ = writeln!(sums, "{sum}  {file}");

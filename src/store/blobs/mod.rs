@@ -10,22 +10,39 @@
 //! ```
 //! A folder is written under `tmp/`, put on the disk, and moved into place as a whole; the row that speaks of it comes last. So a blob
 //! that can be seen is complete, and a row that can be seen has its blob, also after the power has failed.
+//!
+//! Published folders may be kept in an object store instead ([`objects`]): those that lie here are then copies of what is there, brought by
+//! whoever reads them ([`shared`]), and go when they are not in use and too many ([`cache`]). Whoever reads a folder asks for its files
+//! ([`Blobs::file`], [`Blobs::whole`]) wherever they are kept.
 
 mod aging;
+mod cache;
 pub(super) mod checksums;
 mod growing;
+mod home;
+pub(super) mod objects;
+mod shared;
 mod sizes;
+mod stages;
 
 pub use aging::{KeptCheckpoints, size_of};
+pub use cache::Kept;
 use checksums::Sums;
 pub use checksums::{Damage, Look};
 pub use growing::GrowingFile;
+pub use home::{BlobHome, BlobsAt, Files};
+pub use objects::{AccessKeys, Away, Bucket, Links};
+use objects::{FolderName, Unclaimed};
+use shared::{Put, Shared};
 pub use sizes::Measured;
 
 use super::data_folder::sync_folder;
 use camino::{Utf8Path, Utf8PathBuf};
+use futures::{StreamExt, stream};
+use std::collections::HashMap;
 use std::fs;
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::task::spawn_blocking;
 use uuid::Uuid;
@@ -35,6 +52,10 @@ pub struct Blobs {
     root: Utf8PathBuf,
     tmp: Utf8PathBuf,
     hands: Hands,
+    /// What it all goes by, where that is not the data folder's own id.
+    id: Option<Arc<str>>,
+    /// Where folders are kept in an object store.
+    shared: Option<Arc<Shared>>,
 }
 
 /// Whether what is done with folders is done, or only thought through.
@@ -50,6 +71,8 @@ enum Hands {
 pub struct Scratch {
     path: Utf8PathBuf,
     tmp: Utf8PathBuf,
+    /// What goes with it elsewhere.
+    beyond: Option<Unclaimed>,
 }
 
 impl Scratch {
@@ -61,6 +84,7 @@ impl Scratch {
 
 impl Drop for Scratch {
     fn drop(&mut self) {
+        drop(self.beyond.take());
         // Published folders have moved away; what can not be removed now goes when the server starts next.
         if let Err(error) = remove_tree(&self.path, &self.tmp) {
             tracing::warn!(folder = %self.path, %error, "a temporary folder stays behind");
@@ -70,24 +94,33 @@ impl Drop for Scratch {
 
 /// The kinds of folders below `blobs/`.
 pub const KINDS: [&str; 4] = ["contents", "parses", "checkpoints", "answers"];
+/// Those that never change once they are published.
+const SEALED: [&str; 3] = ["contents", "parses", "answers"];
+/// Folders that are taken away from an object store at once.
+const AT_ONCE: usize = 16;
+
+/// A folder that is written, all of it on the disk or in the object store, and not published yet.
+#[derive(Debug)]
+pub struct Prepared {
+    scratch: Scratch,
+    place: Utf8PathBuf,
+    put: Option<(Arc<Shared>, FolderName, Put)>,
+}
 
 impl Blobs {
-    pub(super) fn open(data_dir: &Utf8Path) -> io::Result<Self> {
-        let blobs = Self { root: data_dir.join("blobs"), tmp: data_dir.join("tmp"), hands: Hands::Free };
-        for folder in KINDS.map(|kind| blobs.root.join(kind)).iter().chain([&blobs.tmp, &blobs.uploads()]) {
-            fs::create_dir_all(folder)?;
-        }
-        Ok(blobs)
-    }
-
-    /// Folders that are looked at and stay as they are, whatever is asked: nothing goes out of the way, nothing to the quarantine.
-    pub(super) fn look_only(data_dir: &Utf8Path) -> Self {
-        Self { root: data_dir.join("blobs"), tmp: data_dir.join("tmp"), hands: Hands::Tied }
+    /// Folders below `data_dir`, and nowhere else.
+    fn below(data_dir: &Utf8Path, hands: Hands) -> Self {
+        Self { root: data_dir.join("blobs"), tmp: data_dir.join("tmp"), hands, id: None, shared: None }
     }
 
     /// Whether folders may be moved and removed.
     pub(super) fn has_free_hands(&self) -> bool {
         self.hands == Hands::Free
+    }
+
+    /// What lies under `tmp/` and is to go.
+    fn aside(&self, path: Utf8PathBuf) -> Scratch {
+        Scratch { path, tmp: self.tmp.clone(), beyond: None }
     }
 
     /// What processes that are gone left under `tmp/`, to be removed when it is dropped: what has not changed for so long.
@@ -98,7 +131,7 @@ impl Blobs {
             // Gone meanwhile, or from tomorrow: in somebody's hands.
             let age = entry.metadata().and_then(|m| m.modified()).ok().and_then(|at| at.elapsed().ok());
             if unchanged.is_zero() || age.is_some_and(|age| age >= unchanged) {
-                left.push(Scratch { path: entry.into_path(), tmp: self.tmp.clone() });
+                left.push(self.aside(entry.into_path()));
             }
         }
         Ok(left)
@@ -129,7 +162,7 @@ impl Blobs {
         for folder in KINDS.map(|kind| self.root.join(kind)).iter().chain([&self.root]) {
             for entry in folder.read_dir_utf8()? {
                 let entry = entry?;
-                if !entry.file_type()?.is_dir() {
+                if !entry.file_type()?.is_dir() && entry.file_name() != home::CACHE_OF {
                     strays.push(entry.into_path());
                 }
             }
@@ -176,7 +209,7 @@ impl Blobs {
     pub fn scratch(&self) -> io::Result<Scratch> {
         let path = self.tmp.join(Uuid::now_v7().to_string());
         fs::create_dir(&path)?;
-        Ok(Scratch { path, tmp: self.tmp.clone() })
+        Ok(self.aside(path))
     }
 
     /// Moves a finished folder into place, on the disk. When somebody was faster, theirs stays: same name, same content; unless it is not
@@ -191,18 +224,47 @@ impl Blobs {
     /// As [`publish`](Self::publish); files whose sums are known are not read again.
     ///
     /// # Errors
-    /// Those of the file system.
+    /// As for [`prepare`](Self::prepare).
     pub fn publish_knowing(&self, scratch: Scratch, place: &Utf8Path, known: &Sums) -> io::Result<()> {
+        self.publish_prepared(self.prepare_knowing(scratch, place, known)?)
+    }
+
+    /// All of publishing that takes time. What is not published after all goes again.
+    ///
+    /// # Errors
+    /// Those of the file system; that the object store can not be used.
+    pub fn prepare(&self, scratch: Scratch, place: &Utf8Path) -> io::Result<Prepared> {
+        self.prepare_knowing(scratch, place, &Sums::new())
+    }
+
+    fn prepare_knowing(&self, scratch: Scratch, place: &Utf8Path, known: &Sums) -> io::Result<Prepared> {
+        let put = if let (Some(shared), Some(name)) = (&self.shared, self.name_of(place)) {
+            let put = shared.put(&scratch, &name, known)?;
+            Some((shared.clone(), name, put))
+        } else {
+            checksums::seal(scratch.path(), known, "")?;
+            None
+        };
+        Ok(Prepared { scratch, place: place.to_owned(), put })
+    }
+
+    /// Publishes what is prepared, as [`publish`](Self::publish) does.
+    ///
+    /// # Errors
+    /// As for [`prepare`](Self::prepare).
+    pub fn publish_prepared(&self, Prepared { scratch, place, put }: Prepared) -> io::Result<()> {
+        if let Some((shared, name, put)) = put {
+            return self.publish_put(&shared, &name, &scratch, put, &place);
+        }
         if place.exists() {
-            if checksums::look(place, Look::Bytes)?.is_empty() {
+            if checksums::look(&place, Look::Bytes)?.is_empty() {
                 return Ok(());
             }
             tracing::warn!(blob = %place, "a damaged folder is replaced");
-            drop(self.take_away(place)?);
+            drop(self.take_away(&place)?);
         }
-        checksums::seal(&scratch.path, known)?;
-        fs::rename(&scratch.path, place)?;
-        sync_folder(place.parent().unwrap_or(place))
+        fs::rename(&scratch.path, &place)?;
+        sync_folder(place.parent().unwrap_or(&place))
     }
 
     /// Gives a folder that is to be published the files of one that is, below `below`, without copying them where the disk can; their sums.
@@ -210,58 +272,17 @@ impl Blobs {
     /// # Errors
     /// Those of the file system.
     pub fn share(&self, published: &Utf8Path, with: &Scratch, below: &Utf8Path) -> io::Result<Sums> {
-        checksums::share(published, with.path(), below)
-    }
-
-    /// Finished stages of one content are those of another that has grown from it.
-    ///
-    /// # Errors
-    /// Those of the file system.
-    pub fn inherit_checkpoints(&self, from: &str, to: &str) -> io::Result<()> {
-        let (from, to) = (self.checkpoints(from), self.use_checkpoints(to)?);
-        if !from.is_dir() {
-            return Ok(());
-        }
-        for entry in from.read_dir_utf8()? {
-            let entry = entry?;
-            if !entry.file_type()?.is_file() {
-                continue;
-            }
-            // Logs are appended to: each content has its own.
-            fs::copy(entry.path(), to.join(entry.file_name()))?;
-        }
-        Ok(())
-    }
-
-    /// What is wrong with a published folder.
-    ///
-    /// # Errors
-    /// Those of the file system.
-    pub fn look(&self, place: &Utf8Path, closely: Look) -> io::Result<Vec<Damage>> {
-        checksums::look(place, closely)
-    }
-
-    /// What is wrong with one file of a published folder.
-    ///
-    /// # Errors
-    /// Those of the file system.
-    pub fn look_at(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<Option<Damage>> {
-        checksums::look_at(place, file)
-    }
-
-    /// Whether a published folder was published with this file; of folders from before that was written down, whether it is there.
-    ///
-    /// # Errors
-    /// Those of the file system.
-    pub fn holds(&self, place: &Utf8Path, file: &Utf8Path) -> io::Result<bool> {
-        checksums::holds(place, file.strip_prefix(place).unwrap_or(file))
+        checksums::share(&self.whole(published)?, with.path(), below)
     }
 
     /// Takes a folder out of the way, under `tmp/`: it is gone for everybody at once, whatever it holds. `None` where nothing was.
     fn take_away(&self, folder: &Utf8Path) -> io::Result<Option<Scratch>> {
+        if let Some(Shared { cache, .. }) = self.shared.as_deref() {
+            return Ok(cache.take(folder)?.map(|path| self.aside(path)));
+        }
         let path = self.tmp.join(Uuid::now_v7().to_string());
         match fs::rename(folder, &path) {
-            Ok(()) => Ok(Some(Scratch { path, tmp: self.tmp.clone() })),
+            Ok(()) => Ok(Some(self.aside(path))),
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(error) => Err(error),
         }
@@ -277,10 +298,34 @@ impl Blobs {
         }
         let blobs = self.clone();
         spawn_blocking(move || {
-            let taken = folders.iter().map(|folder| blobs.take_away(folder));
+            let mut beyond = blobs.unseal(&folders);
+            let taken = folders.iter().map(|folder| {
+                let mut aside = blobs.take_away(folder)?;
+                if let Some(aside) = &mut aside {
+                    aside.beyond = beyond.remove(folder);
+                }
+                Ok(aside)
+            });
             taken.filter_map(Result::transpose).collect()
         })
         .await?
+    }
+
+    /// Takes folders away from the object store, where they are there. What can not be had now is for the sweep: no row speaks of it any more.
+    fn unseal(&self, folders: &[Utf8PathBuf]) -> HashMap<Utf8PathBuf, Unclaimed> {
+        let Some(Shared { objects, .. }) = self.shared.as_deref() else { return HashMap::new() };
+        let named = folders.iter().filter_map(|folder| Some((folder.clone(), self.name_of(folder)?)));
+        let unsealed = named.map(async |(folder, name)| match objects.unseal(&name).await {
+            Ok(unsealed) => unsealed.map(|unclaimed| (folder, unclaimed)),
+            Err(error) => {
+                tracing::warn!(%folder, error = &error as &dyn std::error::Error, "its objects stay until they are swept");
+                None
+            }
+        });
+        let unsealed = objects.wait(stream::iter(unsealed).buffer_unordered(AT_ONCE).collect::<Vec<_>>());
+        let stages = folders.iter().filter(|folder| folder.starts_with(self.root.join("checkpoints")));
+        let stages = stages.filter_map(|folder| Some((folder.clone(), objects.loose_stages(folder.file_name()?))));
+        unsealed.into_iter().flatten().chain(stages).collect()
     }
 
     /// Removes what was set aside, in the background. What a server that stops leaves under `tmp/` goes when the next one starts.
@@ -332,7 +377,7 @@ mod tests {
     use super::*;
 
     fn opened(data: &tempfile::TempDir) -> Blobs {
-        Blobs::open(Utf8Path::from_path(data.path()).unwrap()).unwrap()
+        Blobs::open(Utf8Path::from_path(data.path()).unwrap(), &BlobHome::Folder, Files::Used).unwrap()
     }
 
     /// Thousands of folders, one in another, with names that make their path longer than any path may be.

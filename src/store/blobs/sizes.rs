@@ -102,7 +102,8 @@ mod tests {
     #[tokio::test]
     async fn sizes_are_those_of_the_files_and_follow_them() {
         let data = tempfile::tempdir().unwrap();
-        let blobs = Blobs::open(Utf8Path::from_path(data.path()).unwrap()).unwrap();
+        let blobs =
+            Blobs::open(Utf8Path::from_path(data.path()).unwrap(), &super::super::BlobHome::Folder, super::super::Files::Used).unwrap();
         for i in 0..STEP + 3 {
             let parse = blobs.parse(&i.to_string());
             fs::create_dir_all(parse.join("views")).unwrap();

@@ -1,0 +1,110 @@
+//! Where scans, parses and transcripts are kept.
+
+use crate::store::{AccessKeys, BlobHome, BlobsAt, Links};
+use crate::telemetry;
+use anyhow::{Context, bail};
+use camino::Utf8PathBuf;
+use std::fs;
+use std::time::Duration;
+
+const DEFAULT_CACHE_BYTES: u64 = 50 << 30;
+const DEFAULT_GRACE_S: u64 = 24 * 60 * 60;
+
+/// In the data folder, or in an object store that speaks S3. Its address, region and keys are those other programs use: AWS_ENDPOINT_URL,
+/// AWS_REGION, AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_SESSION_TOKEN, or the machine's role.
+#[allow(clippy::doc_markdown)] // Help is no Markdown.
+#[derive(Debug, Clone, clap::Args)]
+pub struct BlobsConfig {
+    /// Where scans and parses are kept: "folder", in the data folder, or s3://BUCKET/PREFIX; the data folder then holds copies of what is used
+    #[arg(long = "blobs", env = "UNIGROUND_BLOBS", value_name = "PLACE", default_value = "folder")]
+    pub at: BlobsAt,
+    /// File with keys to the bucket, as ~/.aws/credentials has them (its profile "default", or the one of AWS_PROFILE)
+    #[arg(long, env = "UNIGROUND_BLOBS_CREDENTIALS_FILE", value_name = "FILE")]
+    pub blobs_credentials_file: Option<Utf8PathBuf>,
+    /// What copies that nobody uses may come to, bytes
+    #[arg(long, env = "UNIGROUND_BLOBS_CACHE_BYTES", default_value_t = DEFAULT_CACHE_BYTES, value_name = "BYTES")]
+    pub blobs_cache_bytes: u64,
+    /// Send callers to the object store for clouds, points and embeddings, by links that work for a quarter of an hour; they must reach it
+    #[arg(long, env = "UNIGROUND_BLOBS_REDIRECT")]
+    pub blobs_redirect: bool,
+    /// How old objects must be that no record speaks of to be removed, seconds; putting one scan there may take half of it
+    #[arg(long, env = "UNIGROUND_BLOBS_GRACE_S", default_value_t = DEFAULT_GRACE_S, value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(1..))]
+    pub blobs_grace_s: u64,
+}
+
+impl Default for BlobsConfig {
+    fn default() -> Self {
+        Self {
+            at: BlobsAt::Folder,
+            blobs_credentials_file: None,
+            blobs_cache_bytes: DEFAULT_CACHE_BYTES,
+            blobs_redirect: false,
+            blobs_grace_s: DEFAULT_GRACE_S,
+        }
+    }
+}
+
+impl BlobsConfig {
+    /// The place, with the keys to it. From here on no key gets into the log.
+    ///
+    /// # Errors
+    /// A file of keys that can not be read, or has none.
+    pub fn home(&self) -> anyhow::Result<BlobHome> {
+        let BlobsAt::Bucket(bucket) = &self.at else { return Ok(BlobHome::Folder) };
+        for secret in ["AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN"] {
+            std::env::var(secret).iter().for_each(|secret| telemetry::hide(secret));
+        }
+        let keys = match &self.blobs_credentials_file {
+            Some(file) => {
+                let text = fs::read_to_string(file).with_context(|| format!("the credentials file {file}"))?;
+                let profile = std::env::var("AWS_PROFILE").unwrap_or_else(|_| "default".into());
+                Some(keys_of(&text, &profile).with_context(|| format!("the credentials file {file}"))?)
+            }
+            None => None,
+        };
+        Ok(BlobHome::Bucket {
+            bucket: bucket.clone(),
+            keys,
+            links: if self.blobs_redirect { Links::ToObjects } else { Links::None },
+            cache_bytes: self.blobs_cache_bytes,
+            grace: Duration::from_secs(self.blobs_grace_s),
+        })
+    }
+}
+
+/// The keys of a profile.
+fn keys_of(text: &str, profile: &str) -> anyhow::Result<AccessKeys> {
+    let (mut is_ours, mut id, mut secret, mut session) = (false, None, None, None);
+    for line in text.lines().map(str::trim) {
+        if let Some(section) = line.strip_prefix('[').and_then(|rest| rest.strip_suffix(']')) {
+            is_ours = section.trim() == profile;
+        } else if let Some((key, value)) = line.split_once('=').filter(|_| is_ours) {
+            let value = Some(value.trim().to_owned());
+            match key.trim() {
+                "aws_access_key_id" => id = value,
+                "aws_secret_access_key" => secret = value,
+                "aws_session_token" => session = value,
+                _ => {}
+            }
+        }
+    }
+    secret.iter().chain(&session).for_each(|secret| telemetry::hide(secret));
+    match (id, secret) {
+        (Some(id), Some(secret)) => Ok(AccessKeys { id, secret, session }),
+        _ => bail!("the profile [{profile}] has no aws_access_key_id and aws_secret_access_key"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_are_those_of_the_profile() {
+        let file = "[other]\naws_access_key_id = OTHER\n[default]\naws_access_key_id=MINE\naws_secret_access_key = se/cret+=\n";
+        let keys = keys_of(file, "default").unwrap();
+        assert_eq!((keys.id.as_str(), keys.secret.as_str(), keys.session), ("MINE", "se/cret+=", None));
+        let told = keys_of(file, "other").unwrap_err().to_string();
+        assert!(told.contains("[other]") && !told.contains("OTHER"), "{told}");
+    }
+}

@@ -1,0 +1,260 @@
+//! Folders of an object store that lie in the data folder for a while: what is in use stays, and of the rest what was used last, up to a
+//! bound.
+
+use super::remove_tree;
+use camino::{Utf8Path, Utf8PathBuf};
+use std::collections::HashMap;
+use std::fs::{self, File};
+use std::io;
+use std::ops::Deref;
+use std::path::Path;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::SystemTime;
+use tokio::runtime::Handle;
+use uuid::Uuid;
+
+/// What lies here of an object store's folders.
+#[derive(Debug)]
+pub struct Cache {
+    /// Bytes that folders nobody uses may come to.
+    most: u64,
+    tmp: Utf8PathBuf,
+    runtime: Handle,
+    here: Mutex<Here>,
+    /// Keeps other processes out.
+    _lock: Option<File>,
+}
+
+#[derive(Debug, Default)]
+struct Here {
+    folders: HashMap<Utf8PathBuf, Folder>,
+    bytes: u64,
+    /// Counts uses.
+    clock: u64,
+}
+
+#[derive(Debug, Default)]
+struct Folder {
+    bytes: u64,
+    used: u64,
+    /// Whoever uses the folder has a handle of it, and who adds to it the lock.
+    turn: Arc<Mutex<()>>,
+}
+
+/// A folder that stays as long as this does.
+#[derive(Debug)]
+pub struct Held {
+    cache: Arc<Cache>,
+    place: Utf8PathBuf,
+    turn: Option<Arc<Mutex<()>>>,
+}
+
+impl Held {
+    /// The turn at adding to the folder; blocks.
+    pub fn turn(&self) -> Option<MutexGuard<'_, ()>> {
+        self.turn.as_ref().map(|turn| turn.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.turn = None;
+        self.cache.forget_nothing(&self.place);
+        self.cache.make_room();
+    }
+}
+
+/// A file or folder that is read: it stays where it is as long as this does.
+#[derive(Debug)]
+pub struct Kept {
+    path: Utf8PathBuf,
+    _held: Option<Held>,
+}
+
+impl Kept {
+    pub(super) fn held(path: Utf8PathBuf, held: Held) -> Self {
+        Self { path, _held: Some(held) }
+    }
+}
+
+/// What stays anyway.
+impl From<Utf8PathBuf> for Kept {
+    fn from(path: Utf8PathBuf) -> Self {
+        Self { path, _held: None }
+    }
+}
+
+impl Deref for Kept {
+    type Target = Utf8Path;
+
+    fn deref(&self) -> &Utf8Path {
+        &self.path
+    }
+}
+
+impl AsRef<Path> for Kept {
+    fn as_ref(&self) -> &Path {
+        self.path.as_std_path()
+    }
+}
+
+impl Cache {
+    /// A cache of folders that lie somewhere already, by when each was brought, and how large it is.
+    pub fn new(
+        most: u64,
+        tmp: &Utf8Path,
+        runtime: Handle,
+        mut found: Vec<(SystemTime, Utf8PathBuf, u64)>,
+        lock: impl Into<Option<File>>,
+    ) -> Arc<Self> {
+        found.sort();
+        let mut here = Here::default();
+        for (_, place, bytes) in found {
+            here.touch(&place).bytes = bytes;
+            here.bytes += bytes;
+        }
+        let cache = Arc::new(Self { most, tmp: tmp.to_owned(), runtime, here: Mutex::new(here), _lock: lock.into() });
+        cache.make_room();
+        cache
+    }
+
+    fn here(&self) -> MutexGuard<'_, Here> {
+        self.here.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Keeps a folder where it is, if it is there.
+    pub fn hold(self: &Arc<Self>, place: &Utf8Path) -> Held {
+        let turn = self.here().touch(place).turn.clone();
+        Held { cache: self.clone(), place: place.to_owned(), turn: Some(turn) }
+    }
+
+    /// Forgets a folder that was looked for and not found.
+    fn forget_nothing(&self, place: &Utf8Path) {
+        let mut here = self.here();
+        if here
+            .folders
+            .get(place)
+            .is_some_and(|folder| folder.bytes == 0 && Arc::strong_count(&folder.turn) == 1)
+        {
+            here.folders.remove(place);
+        }
+    }
+
+    /// A folder that has more than before.
+    pub fn add(&self, place: &Utf8Path, bytes: u64) {
+        let mut here = self.here();
+        here.touch(place).bytes += bytes;
+        here.bytes += bytes;
+        drop(here);
+        self.make_room();
+    }
+
+    /// Takes a folder out of the way, whoever uses it: what is open stays so. `None` where nothing was.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn take(&self, place: &Utf8Path) -> io::Result<Option<Utf8PathBuf>> {
+        let mut here = self.here();
+        if let Some(folder) = here.folders.remove(place) {
+            here.bytes -= folder.bytes;
+        }
+        let aside = self.tmp.join(Uuid::now_v7().to_string());
+        match fs::rename(place, &aside) {
+            Ok(()) => Ok(Some(aside)),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(error) => Err(error),
+        }
+    }
+
+    /// Bytes of all folders here.
+    #[cfg(test)]
+    pub fn bytes(&self) -> u64 {
+        self.here().bytes
+    }
+
+    /// Lets go of what was not used for longest, until the rest is within the bound.
+    fn make_room(&self) {
+        let mut aside = Vec::new();
+        let mut here = self.here();
+        while here.bytes > self.most {
+            let unused = here.folders.iter().filter(|(_, folder)| Arc::strong_count(&folder.turn) == 1);
+            let Some(place) = unused.min_by_key(|(_, folder)| folder.used).map(|(place, _)| place.clone()) else { break };
+            let Some(folder) = here.folders.remove(&place) else { break };
+            here.bytes -= folder.bytes;
+            let gone = self.tmp.join(Uuid::now_v7().to_string());
+            // While nobody can begin to use it.
+            match fs::rename(&place, &gone) {
+                Ok(()) => aside.push(gone),
+                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+                Err(error) => tracing::warn!(folder = %place, %error, "a folder can not be let go of"),
+            }
+        }
+        drop(here);
+        if !aside.is_empty() {
+            let tmp = self.tmp.clone();
+            self.runtime.spawn_blocking(move || {
+                for gone in aside {
+                    if let Err(error) = remove_tree(&gone, &tmp) {
+                        tracing::warn!(folder = %gone, %error, "a folder stays behind");
+                    }
+                }
+            });
+        }
+    }
+}
+
+impl Here {
+    fn touch(&mut self, place: &Utf8Path) -> &mut Folder {
+        self.clock += 1;
+        let clock = self.clock;
+        let folder = self.folders.entry(place.to_owned()).or_default();
+        folder.used = clock;
+        folder
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn folder(root: &Utf8Path, name: &str) -> Utf8PathBuf {
+        let place = root.join(name);
+        fs::create_dir(&place).unwrap();
+        place
+    }
+
+    #[tokio::test]
+    async fn what_was_not_used_for_longest_goes_and_what_is_in_use_stays() {
+        let root = tempfile::tempdir().unwrap();
+        let root = Utf8Path::from_path(root.path()).unwrap();
+        let tmp = folder(root, "tmp");
+        let [a, b, c, d] = ["a", "b", "c", "d"].map(|name| folder(root, name));
+        let cache = Cache::new(20, &tmp, Handle::current(), Vec::new(), None);
+        cache.add(&a, 10);
+        let in_use = cache.hold(&a);
+        cache.add(&b, 10);
+        cache.add(&c, 10);
+        assert_eq!([a.exists(), b.exists(), c.exists(), cache.bytes() == 20], [true, false, true, true]);
+        // All in use: over the bound as long as that is so, and no longer.
+        let also = cache.hold(&c);
+        let last = cache.hold(&d);
+        cache.add(&d, 10);
+        assert_eq!((a.exists(), c.exists(), d.exists(), cache.bytes()), (true, true, true, 30));
+        drop(also);
+        assert_eq!((a.exists(), c.exists(), d.exists(), cache.bytes()), (true, false, true, 20));
+        drop((in_use, last));
+        assert_eq!(cache.bytes(), 20);
+    }
+
+    #[tokio::test]
+    async fn what_lies_there_already_goes_by_its_age() {
+        let root = tempfile::tempdir().unwrap();
+        let root = Utf8Path::from_path(root.path()).unwrap();
+        let tmp = folder(root, "tmp");
+        let found = ["new", "old"].map(|name| folder(root, name));
+        let age = |days: u64| SystemTime::UNIX_EPOCH + std::time::Duration::from_hours(24 * days);
+        let [new, old] = found.clone();
+        let cache = Cache::new(15, &tmp, Handle::current(), vec![(age(9), new.clone(), 10), (age(1), old.clone(), 10)], None);
+        assert_eq!((new.exists(), old.exists(), cache.bytes()), (true, false, 10));
+    }
+}

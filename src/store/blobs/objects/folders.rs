@@ -1,0 +1,228 @@
+//! Folders as objects: files first, then the seal; away the other way round.
+
+use super::super::checksums::Damage;
+use super::{Objects, briefly, edition_of, if_there, sums_of_seal, told};
+use camino::{Utf8Path, Utf8PathBuf};
+use futures::{StreamExt, TryStreamExt, stream};
+use object_store::ObjectStoreExt;
+use object_store::path::Path;
+use std::collections::HashSet;
+use std::io;
+use std::time::{Duration, SystemTime};
+use uuid::Uuid;
+
+/// The object that says that a folder is there.
+pub(super) const SEAL: &str = ".sha256sums";
+/// Files of a folder on their way at once.
+const FILES_AT_ONCE: usize = 16;
+
+/// A link is followed at once; a large file may be asked for in parts.
+const LINKS_LIVE: Duration = Duration::from_mins(15);
+
+/// Kind and name of a folder.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FolderName {
+    pub kind: &'static str,
+    pub name: String,
+}
+
+/// A seal, and when it was put.
+#[derive(Debug, Clone)]
+pub struct Seal {
+    pub text: String,
+    pub made: SystemTime,
+}
+
+/// Whose edition of a folder counts.
+#[derive(Debug)]
+pub enum Sealed {
+    Ours,
+    Theirs(Seal),
+}
+
+/// Objects that nobody refers to: they go, in the background, when this does. What a process that ends leaves of them the sweep finds.
+#[derive(Debug)]
+pub struct Unclaimed {
+    objects: Objects,
+    below: Path,
+    is_kept: bool,
+}
+
+impl Unclaimed {
+    /// Removes them, and waits for that.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn remove(mut self) -> io::Result<()> {
+        self.is_kept = true;
+        self.objects.remove_below(&self.below).await
+    }
+
+    /// They are somebody's now.
+    pub fn keep(mut self) {
+        self.is_kept = true;
+    }
+}
+
+impl Drop for Unclaimed {
+    fn drop(&mut self) {
+        if self.is_kept {
+            return;
+        }
+        let (objects, below) = (self.objects.clone(), std::mem::take(&mut self.below));
+        self.objects.runtime.spawn(async move {
+            if let Err(error) = objects.remove_below(&below).await {
+                let error = &error as &dyn std::error::Error;
+                tracing::warn!(error, %below, "objects that nobody refers to stay for the sweep");
+            }
+        });
+    }
+}
+
+/// A name for an edition: by time, and nobody else's.
+pub fn new_edition() -> String {
+    // The time in milliseconds, and 32 bits by chance: keys may not be long everywhere.
+    let id = Uuid::now_v7().simple().to_string();
+    format!("{}{}", &id[..12], &id[24..])
+}
+
+impl Objects {
+    fn folder(&self, FolderName { kind, name }: &FolderName) -> Path {
+        self.prefix.clone().join(*kind).join(name.as_str())
+    }
+
+    fn edition(&self, folder: &FolderName, edition: &str) -> Path {
+        self.folder(folder).join(edition)
+    }
+
+    /// Where a file of an edition lies.
+    fn file(&self, folder: &FolderName, edition: &str, file: &Utf8Path) -> Path {
+        file.components().fold(self.edition(folder, edition), |place, part| place.join(part.as_str()))
+    }
+
+    /// The seal of a folder; nothing where there is no folder.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn seal(&self, folder: &FolderName) -> io::Result<Option<Seal>> {
+        let place = self.folder(folder).join(SEAL);
+        let got = briefly(async {
+            let got = self.store.get(&place).await?;
+            let made = SystemTime::from(got.meta.last_modified);
+            Ok((got.bytes().await?, made))
+        });
+        let Some((bytes, made)) = if_there(got.await)? else { return Ok(None) };
+        let text = String::from_utf8(bytes.to_vec()).map_err(|error| io::Error::new(io::ErrorKind::InvalidData, error))?;
+        Ok(Some(Seal { text, made }))
+    }
+
+    /// Puts files of a local folder into a new edition of one here. Until they are sealed they are nobody's.
+    ///
+    /// # Errors
+    /// Those of the file system; [`Away`](super::Away).
+    pub async fn put_edition(
+        &self,
+        local: &Utf8Path,
+        folder: &FolderName,
+        edition: &str,
+        files: Vec<Utf8PathBuf>,
+    ) -> io::Result<Unclaimed> {
+        let put = Unclaimed { objects: self.clone(), below: self.edition(folder, edition), is_kept: false };
+        let files = files.into_iter().map(|file| {
+            let (from, to) = (local.join(&file), self.file(folder, edition, &file));
+            async move { self.put_file(&from, &to).await }
+        });
+        stream::iter(files).buffer_unordered(FILES_AT_ONCE).try_collect::<()>().await?;
+        Ok(put)
+    }
+
+    /// Seals a folder, if nobody has.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn put_seal(&self, folder: &FolderName, text: &str) -> io::Result<Sealed> {
+        match self.create(&self.folder(folder).join(SEAL), text.into()).await {
+            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => match self.seal(folder).await? {
+                // Put the second time, where the first one's answer was lost.
+                Some(seal) if seal.text == text => Ok(Sealed::Ours),
+                Some(theirs) => Ok(Sealed::Theirs(theirs)),
+                None => Err(error),
+            },
+            put => put.map(|()| Sealed::Ours),
+        }
+    }
+
+    /// Seals a folder whoever has.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn replace_seal(&self, folder: &FolderName, text: &str) -> io::Result<()> {
+        briefly(self.store.put(&self.folder(folder).join(SEAL), text.to_owned().into())).await.map(drop)
+    }
+
+    /// Takes a folder away: from here on it is not there. Its files go when what is returned does.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn unseal(&self, folder: &FolderName) -> io::Result<Option<Unclaimed>> {
+        let Some(seal) = self.seal(folder).await? else { return Ok(None) };
+        let removed = briefly(self.store.delete(&self.folder(folder).join(SEAL))).await;
+        if_there(removed)?;
+        Ok(edition_of(&seal.text).map(|edition| self.nobodys(folder, edition)))
+    }
+
+    /// An edition that is nobody's.
+    pub fn nobodys(&self, folder: &FolderName, edition: &str) -> Unclaimed {
+        Unclaimed { objects: self.clone(), below: self.edition(folder, edition), is_kept: false }
+    }
+
+    /// Finished stages of a content, to go.
+    pub fn loose_stages(&self, hash: &str) -> Unclaimed {
+        Unclaimed { objects: self.clone(), below: self.checkpoints(hash), is_kept: false }
+    }
+
+    /// Brings files of a sealed folder into a local one, numbered in their order; how many bytes.
+    ///
+    /// # Errors
+    /// Not found where one is missing; [`Away`](super::Away); those of the file system.
+    pub async fn get_files(&self, folder: &FolderName, edition: &str, files: &[Utf8PathBuf], to: &Utf8Path) -> io::Result<u64> {
+        let files = files.iter().enumerate().map(|(number, file)| {
+            let (from, to) = (self.file(folder, edition, file), to.join(number.to_string()));
+            async move { self.get_file(&from, &to).await }
+        });
+        let sizes: Vec<u64> = stream::iter(files).buffer_unordered(FILES_AT_ONCE).try_collect().await?;
+        Ok(sizes.into_iter().sum())
+    }
+
+    /// Whether links to files are given out.
+    pub fn gives_links(&self) -> bool {
+        self.signer.is_some()
+    }
+
+    /// An address of a file that anybody may read for a while; nothing where none are given out.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn link(&self, folder: &FolderName, edition: &str, file: &Utf8Path) -> io::Result<Option<String>> {
+        let Some(signer) = &self.signer else { return Ok(None) };
+        let place = self.file(folder, edition, file);
+        let signed = briefly(signer.signed_url(reqwest::Method::GET, &place, LINKS_LIVE)).await?;
+        Ok(Some(signed.into()))
+    }
+
+    /// What of a folder is missing; what its objects hold is the store's care.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn look(&self, folder: &FolderName) -> io::Result<Vec<Damage>> {
+        let missing = |file: Utf8PathBuf| Damage { file, what: "missing".into() };
+        let seal = self.seal(folder).await?;
+        let Some((seal, edition)) = seal.as_ref().and_then(|seal| Some((seal, edition_of(&seal.text)?))) else {
+            return Ok(vec![missing(Utf8PathBuf::new())]);
+        };
+        let listed = self.store.list(Some(&self.edition(folder, edition)));
+        let there: HashSet<Path> = listed.map_ok(|object| object.location).try_collect().await.map_err(told)?;
+        let files = sums_of_seal(&seal.text).into_keys();
+        Ok(files.filter(|file| !there.contains(&self.file(folder, edition, file))).map(missing).collect())
+    }
+}

@@ -1,0 +1,120 @@
+//! What there is in the store, by name: for whoever looks after it.
+
+use super::folders::SEAL;
+use super::{Objects, briefly, told};
+use camino::Utf8Path;
+use futures::TryStreamExt;
+use object_store::ObjectStoreExt;
+use object_store::path::Path;
+use std::collections::BTreeMap;
+use std::io;
+use std::time::SystemTime;
+
+/// A folder as it is found.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Found {
+    /// When it was sealed, if it is.
+    pub sealed: Option<SystemTime>,
+    /// When the last file of each edition was put.
+    pub editions: BTreeMap<String, SystemTime>,
+    pub bytes: u64,
+}
+
+impl Found {
+    /// When anything of it was put last.
+    pub fn newest(&self) -> SystemTime {
+        let all = self.editions.values().chain(&self.sealed);
+        all.max().copied().unwrap_or(SystemTime::UNIX_EPOCH)
+    }
+}
+
+/// A log of finished stages.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct StoredLog {
+    pub name: String,
+    pub bytes: u64,
+    pub put: SystemTime,
+}
+
+impl Objects {
+    /// All folders of a kind.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn folders(&self, kind: &'static str) -> io::Result<BTreeMap<String, Found>> {
+        let above = self.prefix.clone().join(kind);
+        let mut found: BTreeMap<String, Found> = BTreeMap::new();
+        let mut listed = self.store.list(Some(&above));
+        while let Some(object) = listed.try_next().await.map_err(told)? {
+            let Some(mut parts) = object.location.prefix_match(&above) else { continue };
+            let (Some(name), Some(within)) = (parts.next(), parts.next()) else { continue };
+            let put = SystemTime::from(object.last_modified);
+            let folder =
+                found
+                    .entry(name.as_ref().to_owned())
+                    .or_insert_with(|| Found { sealed: None, editions: BTreeMap::new(), bytes: 0 });
+            folder.bytes += object.size;
+            if within.as_ref() == SEAL {
+                folder.sealed = Some(put);
+            } else {
+                let newest = folder.editions.entry(within.as_ref().to_owned()).or_insert(put);
+                *newest = put.max(*newest);
+            }
+        }
+        Ok(found)
+    }
+
+    /// Whether there is a folder of a kind.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn has_any(&self, kind: &'static str) -> io::Result<bool> {
+        let mut listed = self.store.list(Some(&self.prefix.clone().join(kind)));
+        briefly(async { listed.try_next().await }).await.map(|first| first.is_some())
+    }
+
+    fn log(&self, hash: &str, name: &str) -> Path {
+        self.checkpoints(hash).join(name)
+    }
+
+    pub(super) fn checkpoints(&self, hash: &str) -> Path {
+        self.prefix.clone().join("checkpoints").join(hash)
+    }
+
+    /// The logs of finished stages of a content.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn logs(&self, hash: &str) -> io::Result<Vec<StoredLog>> {
+        let listed = self.store.list(Some(&self.checkpoints(hash)));
+        let log = |object: object_store::ObjectMeta| {
+            let name = object.location.filename().unwrap_or_default().to_owned();
+            StoredLog { name, bytes: object.size, put: object.last_modified.into() }
+        };
+        listed.map_ok(log).try_collect().await.map_err(told)
+    }
+
+    /// Puts a log as it is now.
+    ///
+    /// # Errors
+    /// Those of the file system; [`Away`](super::Away).
+    pub async fn put_log(&self, hash: &str, name: &str, file: &Utf8Path) -> io::Result<()> {
+        self.put_file(file, &self.log(hash, name)).await
+    }
+
+    /// Brings a log into a file.
+    ///
+    /// # Errors
+    /// Those of the file system; [`Away`](super::Away).
+    pub async fn get_log(&self, hash: &str, name: &str, file: &Utf8Path) -> io::Result<u64> {
+        self.get_file(&self.log(hash, name), file).await
+    }
+
+    /// Removes a log.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn remove_log(&self, hash: &str, name: &str) -> io::Result<()> {
+        briefly(self.store.delete(&self.log(hash, name))).await
+    }
+}

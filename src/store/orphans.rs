@@ -1,0 +1,95 @@
+//! What lies in the object store and no row speaks of: folders whose scene is gone, or whose writer ended before its row came, and editions
+//! that were never sealed. Never on the word of a database that is empty or younger, nor of what is young: whoever publishes has half of
+//! that time, and is refused after it.
+
+use super::blobs::KINDS;
+use super::blobs::objects::{FolderName, Found, Seal, edition_of};
+use super::sweep::Judge;
+use super::{Store, StoreError};
+use std::time::SystemTime;
+
+/// A folder in the object store, or an edition of one, that is nobody's.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Orphan {
+    folder: FolderName,
+    /// Only this edition of it.
+    edition: Option<String>,
+    found: Found,
+}
+
+impl Orphan {
+    /// Bytes of its objects, as far as they were counted.
+    #[must_use]
+    pub fn bytes(&self) -> u64 {
+        if self.edition.is_some() { 0 } else { self.found.bytes }
+    }
+}
+
+impl Store {
+    /// What no row speaks of; nothing where there is no object store.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn orphans(&self) -> Result<Vec<Orphan>, StoreError> {
+        let Some(objects) = self.blobs.objects() else { return Ok(Vec::new()) };
+        let Judge { since, knows_nothing } = self.judge().await?;
+        let mut orphans = Vec::new();
+        if knows_nothing {
+            return Ok(orphans);
+        }
+        let is_judged = |put: SystemTime| since.is_some_and(|since| put >= since) && put.elapsed().unwrap_or_default() > objects.grace;
+        for kind in KINDS {
+            let mut found = objects.folders(kind).await?;
+            for name in self.unknown(kind, found.keys().cloned().collect()).await? {
+                if let Some(found) = found.remove(&name).filter(|found| is_judged(found.newest())) {
+                    orphans.push(Orphan { folder: FolderName { kind, name }, edition: None, found });
+                }
+            }
+            // Of folders that are somebody's: what lost a race, or was replaced.
+            for (name, found) in found.into_iter().filter(|(_, found)| found.sealed.is_some() && found.editions.len() > 1) {
+                let folder = FolderName { kind, name };
+                let Some(seal) = objects.seal(&folder).await? else { continue };
+                let others = found
+                    .editions
+                    .iter()
+                    .filter(|(edition, put)| edition_of(&seal.text) != Some(edition) && is_judged(**put));
+                let others: Vec<String> = others.map(|(edition, _)| edition.clone()).collect();
+                orphans.extend(others.into_iter().map(|edition| Orphan {
+                    folder: folder.clone(),
+                    edition: Some(edition),
+                    found: found.clone(),
+                }));
+            }
+        }
+        Ok(orphans)
+    }
+
+    /// Removes one, if it still is one; whether it was. Whoever calls lets nobody refer to it meanwhile.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn remove_orphan(&self, Orphan { folder, edition, found }: &Orphan) -> Result<bool, StoreError> {
+        let Some(objects) = self.blobs.objects() else { return Ok(false) };
+        if let Some(edition) = edition {
+            objects.nobodys(folder, edition).remove().await?;
+            return Ok(true);
+        }
+        if self.unknown(folder.kind, vec![folder.name.clone()]).await?.is_empty() {
+            return Ok(false);
+        }
+        if folder.kind == "checkpoints" {
+            objects.loose_stages(&folder.name).remove().await?;
+            return Ok(true);
+        }
+        // Somebody may have put it there anew since it was found.
+        let is_young = |seal: Seal| seal.made.elapsed().unwrap_or_default() <= objects.grace;
+        if objects.seal(folder).await?.is_some_and(is_young) {
+            return Ok(false);
+        }
+        drop(objects.unseal(folder).await?);
+        for edition in found.editions.keys() {
+            objects.nobodys(folder, edition).remove().await?;
+        }
+        Ok(true)
+    }
+}
