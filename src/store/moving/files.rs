@@ -158,13 +158,15 @@ fn move_uploads(from: &Blobs, to: &Blobs, tell: &Tell) -> Result<KindOfFiles, Mo
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::blobs::{BlobHome, Files};
     use std::sync::Arc;
     use std::time::{Duration, SystemTime};
 
     /// Two data folders; in the first a published parse, checkpoints of a scan, half an upload.
     fn folders() -> (tempfile::TempDir, Blobs, Blobs) {
         let root = tempfile::tempdir().unwrap();
-        let [from, to] = ["old", "new"].map(|name| Blobs::open(&Utf8Path::from_path(root.path()).unwrap().join(name)).unwrap());
+        let [from, to] = ["old", "new"]
+            .map(|name| Blobs::open(&Utf8Path::from_path(root.path()).unwrap().join(name), &BlobHome::Folder, Files::Used).unwrap());
         let scratch = from.scratch().unwrap();
         fs::create_dir(scratch.path().join("views")).unwrap();
         fs::write(scratch.path().join("cloud.ply"), "points").unwrap();

@@ -15,7 +15,7 @@ mod target;
 pub use files::KindOfFiles;
 
 use super::database::Location;
-use super::{Store, StoreError};
+use super::{BlobHome, Store, StoreError};
 use camino::{Utf8Path, Utf8PathBuf};
 use rows::Database;
 use std::fmt;
@@ -128,10 +128,12 @@ enum Files {
 /// [`MoveError`]: nothing has moved, and it can be tried again.
 pub async fn move_over(from: &Place, to: &Place, tell: Tell) -> Result<Moved, MoveError> {
     let files = way(from, to)?;
-    let source = Store::open_known(&from.data_dir, &from.database).await.map_err(|source| match source {
-        StoreError::OtherDatabase { kept_in } => MoveError::FromOtherDatabase { data_dir: from.data_dir.clone(), kept_in },
-        source => MoveError::From { data_dir: from.data_dir.clone(), source },
-    })?;
+    let source = Store::open_known(&from.data_dir, &from.database, &BlobHome::Folder)
+        .await
+        .map_err(|source| match source {
+            StoreError::OtherDatabase { kept_in } => MoveError::FromOtherDatabase { data_dir: from.data_dir.clone(), kept_in },
+            source => MoveError::From { data_dir: from.data_dir.clone(), source },
+        })?;
     let brought = bring(&source, to, files, &tell).await;
     source.close().await;
     let (folder, moved) = brought?;

@@ -246,13 +246,16 @@ fn kept_by(engine: Engine, text: &str) -> Cow<'_, str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::store::BlobHome;
     use camino::Utf8Path;
 
     /// A table that is made by a migration moves, or stands among those that do not; and none comes before one its rows refer to.
     #[tokio::test]
     async fn no_table_is_forgotten() {
         let place = tempfile::tempdir().unwrap();
-        let store = Store::open_as_it_is(Utf8Path::from_path(place.path()).unwrap(), &Location::Folder).await.unwrap();
+        let store = Store::open_as_it_is(Utf8Path::from_path(place.path()).unwrap(), &Location::Folder, &BlobHome::Folder)
+            .await
+            .unwrap();
         let mut tables: Vec<String> = sqlx::query_scalar(Engine::Sqlite.tables()).fetch_all(&store.reader).await.unwrap();
         tables.sort();
         let mut known: Vec<&str> = TABLES.into_iter().chain(["_sqlx_migrations", "data_folder", "members"]).collect();

@@ -2,8 +2,8 @@
 
 use super::MoveError;
 use crate::store::StoreError;
-use crate::store::blobs::Blobs;
 use crate::store::blobs::checksums::sync_everything;
+use crate::store::blobs::{BlobHome, Blobs, Files};
 use crate::store::data_folder::{DATABASE, LOCK, MARKER, MOVING, is_harmless, mark, write_synced};
 use crate::store::database::Engine;
 use camino::{Utf8Path, Utf8PathBuf};
@@ -74,8 +74,8 @@ impl Folder {
         Ok(())
     }
 
-    pub fn blobs(&self) -> io::Result<Blobs> {
-        Blobs::open(&self.path)
+    pub fn blobs(&self) -> Result<Blobs, StoreError> {
+        Blobs::open(&self.path, &BlobHome::Folder, Files::Used)
     }
 
     /// Where a database is written that is a file: out of every server's sight.
