@@ -149,6 +149,17 @@ impl Cache {
         self.make_room();
     }
 
+    /// Takes what there is of a folder out of the way, for whoever holds it to bring it anew.
+    ///
+    /// # Errors
+    /// Those of the file system.
+    pub fn empty(&self, place: &Utf8Path) -> io::Result<Option<Utf8PathBuf>> {
+        let mut here = self.here();
+        let bytes = std::mem::take(&mut here.touch(place).bytes);
+        here.bytes -= bytes;
+        self.move_away(place)
+    }
+
     /// Takes a folder out of the way, whoever uses it: what is open stays so. `None` where nothing was.
     ///
     /// # Errors
@@ -158,6 +169,10 @@ impl Cache {
         if let Some(folder) = here.folders.remove(place) {
             here.bytes -= folder.bytes;
         }
+        self.move_away(place)
+    }
+
+    fn move_away(&self, place: &Utf8Path) -> io::Result<Option<Utf8PathBuf>> {
         let aside = self.tmp.join(Uuid::now_v7().to_string());
         match fs::rename(place, &aside) {
             Ok(()) => Ok(Some(aside)),
@@ -181,11 +196,9 @@ impl Cache {
             let Some(place) = unused.min_by_key(|(_, folder)| folder.used).map(|(place, _)| place.clone()) else { break };
             let Some(folder) = here.folders.remove(&place) else { break };
             here.bytes -= folder.bytes;
-            let gone = self.tmp.join(Uuid::now_v7().to_string());
             // While nobody can begin to use it.
-            match fs::rename(&place, &gone) {
-                Ok(()) => aside.push(gone),
-                Err(error) if error.kind() == io::ErrorKind::NotFound => {}
+            match self.move_away(&place) {
+                Ok(gone) => aside.extend(gone),
                 Err(error) => tracing::warn!(folder = %place, %error, "a folder can not be let go of"),
             }
         }

@@ -151,30 +151,29 @@ impl Blobs {
             drop(turn);
             return Ok(held);
         }
-        match self.bring_missing(shared, name, place, wanted) {
+        let there = match self.bring_missing(shared, name, place, wanted) {
             // Published anew since its seal was brought: what is here is of an edition that is gone.
             Err(error) if error.kind() == io::ErrorKind::NotFound && place.join(SUMS).exists() => {
-                for entry in place.read_dir_utf8()? {
-                    let path = self.tmp.join(uuid::Uuid::now_v7().to_string());
-                    fs::rename(entry?.path(), &path)?;
-                    drop(self.aside(path));
-                }
-                self.bring_missing(shared, name, place, wanted)?;
+                drop(shared.cache.empty(place)?.map(|path| self.aside(path)));
+                self.bring_missing(shared, name, place, wanted)?
             }
             brought => brought?,
+        };
+        if !there {
+            return Err(io::ErrorKind::NotFound.into());
         }
         drop(turn);
         Ok(held)
     }
 
-    /// Brings what is not here of a folder, checked; a file is in its place as a whole or not at all.
+    /// Brings what is not here of a folder, checked; a file is in its place as a whole or not at all. Whether the folder has what is wanted.
     fn bring_missing(
         &self,
         Shared { objects, cache, .. }: &Shared,
         name: &FolderName,
         place: &Utf8Path,
         wanted: Wanted<'_>,
-    ) -> io::Result<()> {
+    ) -> io::Result<bool> {
         let seal = match fs::read_to_string(place.join(SUMS)) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 let seal = objects.wait(objects.seal(name))?.ok_or(io::ErrorKind::NotFound)?.text;
@@ -191,12 +190,12 @@ impl Blobs {
         let edition = edition_of(&seal).ok_or_else(|| io::Error::new(io::ErrorKind::InvalidData, "a seal without an edition"))?;
         let mut missing: Sums = sums_of_seal(&seal);
         match wanted {
-            Wanted::Seal => return Ok(()),
+            Wanted::Seal => return Ok(true),
             Wanted::Everything => missing.retain(|file, _| !place.join(file).exists()),
             Wanted::File(wanted) => {
                 missing.retain(|file, _| file == wanted);
                 if missing.is_empty() {
-                    return Err(io::ErrorKind::NotFound.into());
+                    return Ok(false);
                 }
             }
         }
@@ -216,7 +215,7 @@ impl Blobs {
             fs::rename(at(number), to)?;
         }
         cache.add(place, bytes);
-        Ok(())
+        Ok(true)
     }
 
     /// Seals what was put, and keeps what was written here.
@@ -354,6 +353,7 @@ mod tests {
             // Only what was asked for is here.
             assert!(!place.join("views/deep/er/2.jpg").exists());
             assert_eq!(read(&blobs, &place, "views/3.jpg").unwrap_err().kind(), io::ErrorKind::NotFound);
+            assert!(place.join("cloud.ply").exists(), "what it never had is no reason to doubt what is here");
             assert!(blobs.look(&place, Look::Bytes).unwrap().is_empty());
             assert_eq!(read(&blobs, &blobs.parse("q"), "cloud.ply").unwrap_err().kind(), io::ErrorKind::NotFound);
             assert_eq!(blobs.look(&blobs.parse("q"), Look::Names).unwrap()[0].what, "missing");
