@@ -15,7 +15,7 @@ AGAIN = (409, 429, 503)
 class Caller:
     """Asks one API after the other until there is an answer. `strange` is what nobody should be told."""
 
-    def __init__(self, fleet, seed=0, until_s=120):
+    def __init__(self, fleet, seed=0, until_s=600):
         self.fleet, self.dice, self.until_s, self.strange = fleet, random.Random(seed), until_s, []
 
     def call(self, method, path, body=None, media_type="application/json", key=None):

@@ -38,7 +38,7 @@ from table import Table
 LEASE_S = 10
 # Parses, questions of each of three batches, disturbances, seconds that the model thinks on the average (so that batches last as long as the storm does,
 # and a kill finds calls under way), and seconds that the whole may take.
-SHORT, FULL = (8, 60, 8, 3.0, 900), (60, 500, 60, 3.2, 3600)
+SHORT, FULL = (8, 60, 8, 3.0, 1500), (60, 500, 60, 3.2, 3600)
 BATCHES, FRAMES = 3, 6
 
 
@@ -56,7 +56,7 @@ def undisturbed(program, folder, number, scans):
     with Server(program, folder / "calm", folder / "calm.log", *model.flags) as server:
         server.ready()
         fleet = CalmFleet(server)
-        caller = Caller(fleet, until_s=600)
+        caller = Caller(fleet)
         batches = [caller.batch(items, f"batch-{at}") for at, items in enumerate(items_of(prepared(fleet, scans), number))]
         results = [server.connection().call("GET", f"/v1/batches/{batch}/results").body.splitlines() for batch in batches]
         server.terminate()
