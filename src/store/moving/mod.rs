@@ -37,6 +37,8 @@ pub enum MoveError {
     From { data_dir: Utf8PathBuf, source: StoreError },
     #[error("the rows of {data_dir} are kept in {kept_in}: say so with --from-database")]
     FromOtherDatabase { data_dir: Utf8PathBuf, kept_in: &'static str },
+    #[error("scans and parses of {data_dir} are kept in {kept_in}, and those of a folder alone are moved")]
+    FromElsewhere { data_dir: Utf8PathBuf, kept_in: String },
     #[error("the target can not be used ({place})")]
     To { place: String, source: StoreError },
     #[error("{place} is not empty ({found}): choose one that is")]
@@ -132,6 +134,7 @@ pub async fn move_over(from: &Place, to: &Place, tell: Tell) -> Result<Moved, Mo
         .await
         .map_err(|source| match source {
             StoreError::OtherDatabase { kept_in } => MoveError::FromOtherDatabase { data_dir: from.data_dir.clone(), kept_in },
+            StoreError::BlobsElsewhere { kept_in } => MoveError::FromElsewhere { data_dir: from.data_dir.clone(), kept_in },
             source => MoveError::From { data_dir: from.data_dir.clone(), source },
         })?;
     let brought = bring(&source, to, files, &tell).await;
