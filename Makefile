@@ -33,7 +33,7 @@ test-cluster: ## Two APIs and three workers over one PostgreSQL, killed and stop
 	PYTHON=$(PYTHON) scripts/test-cluster.sh $(FLAGS)
 
 test-objects: ## The service with its scans in an object store (s3s-fs, a real S3 server, which is compiled once into target/tools)
-	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-objects.sh
+	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-objects.sh $(TESTS)
 
 test-models: ## Real weights against golden outputs and an annotated room, FULL=1 more, a real inference server (installs into .venv-models; minutes)
 	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-models.sh

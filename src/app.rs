@@ -149,16 +149,12 @@ fn start_lane<K: JobKind>(jobs: &Jobs, kind: K, at_once: Option<usize>, shutdown
 
 /// Does what other processes' doings ask for, as soon as they are known here.
 async fn heed_news(mut newsroom: Newsroom, jobs: Jobs, keys: Keyring, shutdown: CancellationToken) {
+    /// News may be missed, in silence too: after so long everything is looked at.
+    const SILENCE: Duration = Duration::from_secs(10);
     const TROUBLE: Duration = Duration::from_secs(2);
-    while let Some(news) = shutdown.run_until_cancelled(Box::pin(newsroom.next())).await {
-        let news = match news {
-            Ok(news) => news,
-            Err(error) => {
-                tracing::warn!(error = &error as &dyn std::error::Error, "news of other processes do not come in");
-                let _ = shutdown.run_until_cancelled(sleep(TROUBLE)).await;
-                News::Missed
-            }
-        };
+    // As is what came before the first of them.
+    let mut news = News::Missed;
+    loop {
         match &news {
             News::JobWaits { kind } => jobs.ring(Some(kind)),
             News::KeysChanged => {}
@@ -169,6 +165,17 @@ async fn heed_news(mut newsroom: Newsroom, jobs: Jobs, keys: Keyring, shutdown: 
         {
             tracing::warn!(error = &error as &dyn std::error::Error, "keys that others made or revoked can not be read");
         }
+        let next = timeout(SILENCE, Box::pin(newsroom.next()));
+        news = match shutdown.run_until_cancelled(next).await {
+            None => return,
+            Some(Ok(Ok(news))) => news,
+            Some(Ok(Err(error))) => {
+                tracing::warn!(error = &error as &dyn std::error::Error, "news of other processes do not come in");
+                let _ = shutdown.run_until_cancelled(sleep(TROUBLE)).await;
+                News::Missed
+            }
+            Some(Err(_)) => News::Missed,
+        };
     }
 }
 

@@ -17,6 +17,10 @@ impl Service {
     /// [`Error`] of the store; what was done stays done.
     pub async fn keep_house(&self) -> Result<(), Error> {
         self.store.clear_beside_others().await?;
+        // Copies are each process's own.
+        if self.store.blobs.are_copies() {
+            self.store.sweep(Beside::TheServer.settled()).await?;
+        }
         // One process does the rest for all.
         let Some(_turn) = self.keeping_house().await? else { return Ok(()) };
         self.let_go(Beside::TheServer).await?;

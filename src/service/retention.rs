@@ -59,7 +59,7 @@ impl Beside {
     }
 
     /// What is younger may be half in place.
-    fn settled(self) -> Duration {
+    pub(super) fn settled(self) -> Duration {
         match self {
             Self::Nobody => Duration::ZERO,
             Self::TheServer => Duration::from_hours(1),
@@ -207,12 +207,14 @@ impl Round<'_> {
         let mut gone = Gone::default();
         for KeptCheckpoints { hash, bytes, .. } in too_many(kept, oldest, most) {
             // No parse of it begins between the look and the removal.
-            let _references = (self.service.content_references().await?, self.service.parse_references().await?);
+            let references = (self.service.content_references().await?, self.service.parse_references().await?);
             if !self.service.store.contents_in_work().await?.contains(&hash) {
                 self.discard(vec![self.service.store.blobs.checkpoints(&hash)]).await?;
                 gone.entries += 1;
                 gone.bytes += bytes;
             }
+            drop(references);
+            self.beside.pause().await;
         }
         Ok(gone.because("checkpoints", format!("not used for {days} days, or together more than {most} bytes; they only save time")))
     }
@@ -226,11 +228,13 @@ impl Round<'_> {
     async fn orphans(&self) -> Result<Removed, Error> {
         let (service, mut gone) = (self.service, Gone::default());
         for orphan in service.store.orphans().await? {
-            let _references = (service.content_references().await?, service.parse_references().await?);
+            let references = (service.content_references().await?, service.parse_references().await?);
             if service.store.remove_orphan(&orphan).await? {
                 gone.entries += 1;
                 gone.bytes += orphan.bytes();
             }
+            drop(references);
+            self.beside.pause().await;
         }
         Ok(gone.because("orphaned objects", "no record speaks of them, for longer than the grace period".into()))
     }

@@ -155,6 +155,8 @@ pub struct Recovery {
     pub wait: Duration,
 }
 
+/// How often a worker that was overtaken looks for another job before it waits.
+const TRIES_TO_CLAIM: u32 = 8;
 /// A wait beyond this is none: the clock was set back since it was written down.
 const LONGEST_WAIT: Duration = Duration::from_hours(2);
 
@@ -229,11 +231,23 @@ impl Store {
                    ORDER BY (SELECT max(started_at) FROM jobs WHERE kind = $1 AND (key_id = due.key_id OR (key_id IS NULL AND due.key_id IS NULL)))
                    NULLS FIRST, id LIMIT 1";
         let (time, too_late) = (now(), after(LONGEST_WAIT));
-        // Looked for among the readers first: a queue that is empty writes nothing.
-        let id: Option<String> = sqlx::query_scalar(due).bind(kind).bind(&time).bind(too_late).fetch_optional(&self.reader).await?;
-        let Some(id) = id else { return Ok(None) };
+        for _ in 0..TRIES_TO_CLAIM {
+            // Looked for among the readers first: a queue that is empty writes nothing.
+            let id = sqlx::query_scalar(due).bind(kind).bind(&time).bind(&too_late);
+            let id: Option<String> = id.fetch_optional(&self.reader).await?;
+            let Some(id) = id else { return Ok(None) };
+            // Where somebody was faster there may be another.
+            if let Some(job) = self.take_job(&id, &time).await? {
+                return Ok(Some(job));
+            }
+        }
+        Ok(None)
+    }
+
+    async fn take_job(&self, id: &str, time: &str) -> Result<Option<JobRow>, StoreError> {
+        // Who is no member any more takes nothing: it would be taken from him at once.
         let sql = "UPDATE jobs SET state = 'running', attempts = attempts + 1, started_at = $1, stage = NULL, progress = 0, holder = $3
-                   WHERE id = $2 AND state = 'queued' RETURNING *";
+                   WHERE id = $2 AND state = 'queued' AND EXISTS (SELECT 1 FROM members WHERE id = $3) RETURNING *";
         let claim = sqlx::query_as(sql).bind(time).bind(id).bind(self.members.id().to_string());
         Ok(claim.fetch_optional(self.writer.pool()).await?)
     }
@@ -354,7 +368,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn request_cancel(&self, id: &str) -> Result<(), StoreError> {
-        let sql = "UPDATE jobs SET cancel_requested = 1 WHERE id = $1 AND state = 'running'";
+        let sql = "UPDATE jobs SET cancel_requested = 1 WHERE id = $1 AND state IN ('queued', 'running')";
         sqlx::query(sql).bind(id).execute(self.writer.pool()).await?;
         Ok(())
     }

@@ -27,8 +27,10 @@ const HANDOVER: Duration = Duration::from_secs(5);
 const CLEARING: Duration = Duration::from_mins(1);
 /// How often a member says that it is there. One whose session is gone and that has missed three of these is forgotten.
 const BEAT: Duration = Duration::from_secs(2);
-/// How long those who were there a moment ago may need to be back after the database was away.
-const COMING_BACK: Duration = Duration::from_secs(5);
+/// How long those who have not left may need to be back after the database was away: a beat, and a try that came to nothing before.
+const COMING_BACK: Duration = Duration::from_secs(8);
+/// Who waits for a turn looks so often at least. Who takes turns one after the other pauses for longer in between (`Beside::pause`).
+const LONGEST_LOOK: Duration = Duration::from_millis(25);
 /// Longer than that the session's server is not waited for.
 const PATIENCE: Duration = Duration::from_secs(2);
 /// How long a member may not be seen until what it is at work on is given to others.
@@ -73,7 +75,8 @@ struct Session {
 
 /// A turn at something: nobody else, in this process or another, has it as long as this lives.
 pub struct Turn {
-    _local: LocalTurn,
+    /// Within this process. Nobody here has it before the others could: it is let go once the database's lock is.
+    local: Option<LocalTurn>,
     shared: Option<SharedTurn>,
 }
 
@@ -91,6 +94,9 @@ struct SharedTurn {
     key: i64,
     number: u64,
 }
+
+/// The number of no connection: this member has left.
+const LEFT: u64 = u64::MAX;
 
 /// The lock that all members share, and that one who wants to be alone has for itself. The number is ours alone in this database.
 const MEMBERS: i64 = 7_313_053;
@@ -112,7 +118,7 @@ impl Membership {
         let mut waited = false;
         let was_alone = loop {
             if locked(&mut connection, "pg_try_advisory_lock", MEMBERS).await? {
-                if waited || !were_here_lately(&mut connection).await? {
+                if waited || !is_anybody_expected(&mut connection).await? {
                     break true;
                 }
                 // Killed, or on their way back to a database that was away itself.
@@ -182,7 +188,7 @@ impl Membership {
             Some(session) => session.clone().take(key_of(name), Waiting::AsLongAsItTakes).await?,
             None => None,
         };
-        Ok(Turn { _local: local, shared })
+        Ok(Turn { local: Some(local), shared })
     }
 
     /// The turn at something, by its name, if nobody has it.
@@ -191,16 +197,18 @@ impl Membership {
     /// What the database says.
     pub async fn try_turn(&self, name: &str) -> Result<Option<Turn>, StoreError> {
         let Some(local) = self.turns.try_at(name) else { return Ok(None) };
-        let Some(session) = &self.session else { return Ok(Some(Turn { _local: local, shared: None })) };
+        let Some(session) = &self.session else { return Ok(Some(Turn { local: Some(local), shared: None })) };
         let shared = session.clone().take(key_of(name), Waiting::NotAtAll).await?;
-        Ok(shared.map(|shared| Turn { _local: local, shared: Some(shared) }))
+        Ok(shared.map(|shared| Turn { local: Some(local), shared: Some(shared) }))
     }
 
     /// Leaves: what it was at work on is others' at once.
     pub async fn leave(&self) {
         let Some(session) = &self.session else { return };
         let leaving = async {
-            if let Some(mut connection) = session.held.lock().await.take() {
+            let mut held = session.held.lock().await;
+            session.number.store(LEFT, Relaxed);
+            if let Some(mut connection) = held.take() {
                 let _ = sqlx::query("DELETE FROM members WHERE id = $1").bind(&*self.id()).execute(&mut connection).await;
                 let _ = connection.close().await;
             }
@@ -217,18 +225,29 @@ impl Member {
 
     /// Stays a member as long as somebody holds the session: is seen, forgets the gone, and comes back whenever the database was away.
     async fn stay(self, options: AnyConnectOptions, held: Weak<Mutex<Option<AnyConnection>>>, number: Arc<AtomicU64>) {
-        let mut steady_since = Instant::now();
+        let (mut steady_since, mut beaten) = (Instant::now(), Instant::now());
         loop {
             sleep(BEAT).await;
             let Some(held) = held.upgrade() else { return };
             let mut held = held.lock().await;
+            if number.load(Relaxed) == LEFT {
+                return;
+            }
+            // Who stood still, or was away, can not tell who else was.
+            if beaten.elapsed() > BEAT * 3 {
+                steady_since = Instant::now();
+            }
+            beaten = Instant::now();
+            let id_before = self.id();
             let seen = timeout(PATIENCE * 2, async {
                 let connection = match &mut *held {
                     Some(connection) => connection,
                     gone => gone.insert(connect_again(&options).await?),
                 };
                 self.beat(connection).await?;
-                // Who was away itself can not tell who else was.
+                if *self.id() != *id_before {
+                    steady_since = Instant::now();
+                }
                 if steady_since.elapsed() >= self.lease {
                     self.forget_the_gone(connection).await?;
                 }
@@ -305,7 +324,7 @@ impl Session {
                     return Ok(None);
                 }
                 sleep(wait).await;
-                wait = (wait * 2).min(Duration::from_millis(100));
+                wait = (wait * 2).min(LONGEST_LOOK);
             }
         });
         taking.await.map_err(|error| StoreError::Blobs(std::io::Error::other(error)))?
@@ -332,16 +351,24 @@ impl Session {
     }
 }
 
-impl Drop for SharedTurn {
+impl SharedTurn {
+    async fn let_go(self) {
+        let mut held = self.session.held.lock().await;
+        if self.session.number.load(Relaxed) == self.number {
+            let _ = self.session.call(&mut held, "pg_advisory_unlock", self.key).await;
+        }
+    }
+}
+
+impl Drop for Turn {
     fn drop(&mut self) {
-        let (session, key, number) = (self.session.clone(), self.key, self.number);
+        let Some(shared) = self.shared.take() else { return };
+        let local = self.local.take();
         // Where the process ends, so does the session.
         let Ok(runtime) = tokio::runtime::Handle::try_current() else { return };
         runtime.spawn(async move {
-            let mut held = session.held.lock().await;
-            if session.number.load(Relaxed) == number {
-                let _ = session.call(&mut held, "pg_advisory_unlock", key).await;
-            }
+            shared.let_go().await;
+            drop(local);
         });
     }
 }
@@ -352,15 +379,13 @@ async fn connect(options: &AnyConnectOptions) -> Result<AnyConnection, StoreErro
     Ok(connection)
 }
 
-/// Whether somebody was seen a moment ago who has not left. Before the first member there is no such table.
-async fn were_here_lately(connection: &mut AnyConnection) -> Result<bool, StoreError> {
+/// Whether there is somebody who has not left. Before the first member there is no such table.
+async fn is_anybody_expected(connection: &mut AnyConnection) -> Result<bool, StoreError> {
     let is_there: bool = sqlx::query_scalar("SELECT to_regclass('members') IS NOT NULL").fetch_one(&mut *connection).await?;
     if !is_there {
         return Ok(false);
     }
-    let sql = format!("SELECT count(*) FROM members WHERE seen_at > {} - $1", Engine::Postgres.clock());
-    let here = sqlx::query_scalar(sqlx::AssertSqlSafe(sql)).bind((BEAT * 3).as_secs_f64());
-    let here: i64 = here.fetch_one(connection).await?;
+    let here: i64 = sqlx::query_scalar("SELECT count(*) FROM members").fetch_one(connection).await?;
     Ok(here > 0)
 }
 

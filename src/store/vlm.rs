@@ -3,6 +3,7 @@
 use super::database::{number, without_nul};
 use super::parses::note_change;
 use super::{Store, StoreError, now};
+use sqlx::AnyConnection;
 use std::collections::BTreeMap;
 
 /// Money that somebody wants to have put aside.
@@ -158,13 +159,7 @@ impl Store {
             .fetch_optional(&mut *tx)
             .await?;
         if let Some((day, key_id)) = reserved {
-            let sql = "INSERT INTO spending (day, usd) VALUES ($1, $2) ON CONFLICT (day) DO UPDATE SET usd = spending.usd + $2";
-            sqlx::query(sql).bind(&day).bind(usd).execute(&mut *tx).await?;
-            if let Some(key_id) = key_id {
-                let sql = "INSERT INTO key_spending (key_id, day, usd) VALUES ($1, $2, $3)
-                           ON CONFLICT (key_id, day) DO UPDATE SET usd = key_spending.usd + $3";
-                sqlx::query(sql).bind(key_id).bind(day).bind(usd).execute(&mut *tx).await?;
-            }
+            add_spending(&mut tx, &day, key_id.as_deref(), usd).await?;
         }
         tx.commit().await
     }
@@ -174,22 +169,24 @@ impl Store {
     /// # Errors
     /// [`StoreError`].
     pub(super) async fn settle_what_was_left(&self) -> Result<(), StoreError> {
-        const LEFT: &str = "(member IS NULL OR member NOT IN (SELECT id FROM members))";
+        let left = "DELETE FROM reservations WHERE member IS NULL OR member NOT IN (SELECT id FROM members) RETURNING day, key_id, usd";
         let mut tx = self.writer.begin().await?;
-        for sql in [
-            format!(
-                "INSERT INTO spending (day, usd) SELECT day, sum(usd) FROM reservations WHERE {LEFT} GROUP BY day
-                 ON CONFLICT (day) DO UPDATE SET usd = spending.usd + excluded.usd"
-            ),
-            format!(
-                "INSERT INTO key_spending (key_id, day, usd)
-                 SELECT key_id, day, sum(usd) FROM reservations WHERE key_id IS NOT NULL AND {LEFT} GROUP BY key_id, day
-                 ON CONFLICT (key_id, day) DO UPDATE SET usd = key_spending.usd + excluded.usd"
-            ),
-            format!("DELETE FROM reservations WHERE {LEFT}"),
-        ] {
-            sqlx::query(sqlx::AssertSqlSafe(sql)).execute(&mut *tx).await?;
+        let left: Vec<(String, Option<String>, f64)> = sqlx::query_as(left).fetch_all(&mut *tx).await?;
+        for (day, key_id, usd) in left {
+            add_spending(&mut tx, &day, key_id.as_deref(), usd).await?;
         }
         tx.commit().await
     }
+}
+
+/// Counts as spent: on a day, by everybody and by a key.
+async fn add_spending(tx: &mut AnyConnection, day: &str, key_id: Option<&str>, usd: f64) -> Result<(), StoreError> {
+    let sql = "INSERT INTO spending (day, usd) VALUES ($1, $2) ON CONFLICT (day) DO UPDATE SET usd = spending.usd + $2";
+    sqlx::query(sql).bind(day).bind(usd).execute(&mut *tx).await?;
+    if let Some(key_id) = key_id {
+        let sql = "INSERT INTO key_spending (key_id, day, usd) VALUES ($1, $2, $3)
+                   ON CONFLICT (key_id, day) DO UPDATE SET usd = key_spending.usd + $3";
+        sqlx::query(sql).bind(key_id).bind(day).bind(usd).execute(tx).await?;
+    }
+    Ok(())
 }
