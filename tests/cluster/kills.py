@@ -146,7 +146,9 @@ def main():
     most = FULL if options.full else SHORT
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    # However it is ended, no process stays behind.
     signal.signal(signal.SIGALRM, too_long)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit("ended"))
     signal.alarm(most[-1])
     folder = options.keep or Path(tempfile.mkdtemp(prefix="cluster-"))
     folder.mkdir(parents=True, exist_ok=True)
