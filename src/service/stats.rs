@@ -5,8 +5,9 @@
 
 use super::lately::Lately;
 use super::vlm::today;
-use super::{MAX_UPLOADS, Service};
+use super::{BatchJob, MAX_UPLOADS, NamingJob, ParseJob, Service};
 use crate::error::Error;
+use crate::jobs::JobKind;
 use crate::store::{Figures, JobState, Measured, StoreError};
 use jiff::Timestamp;
 use std::collections::BTreeMap;
@@ -84,7 +85,8 @@ impl Service {
             }
             stored.database_bytes.set(figures.database_bytes as i64);
             stored.free_bytes.set(figures.free_bytes as i64);
-            for kind in self.jobs.lanes().into_keys() {
+            // Whoever has lanes for them: where nobody has, that is when the age of a queue matters.
+            for kind in [ParseJob::NAME, NamingJob::NAME, BatchJob::NAME] {
                 let JobStats { queued, running, oldest_queued_s, .. } = job_stats(kind, true, &figures);
                 self.metrics.jobs.waiting(kind, queued, running, oldest_queued_s.unwrap_or(0.0));
             }

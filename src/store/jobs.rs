@@ -228,8 +228,8 @@ impl Store {
     /// [`StoreError::Database`].
     pub async fn claim_job(&self, kind: &str) -> Result<Option<JobRow>, StoreError> {
         let due = "SELECT id FROM jobs AS due WHERE kind = $1 AND state = 'queued' AND (not_before IS NULL OR not_before <= $2 OR not_before > $3)
-                   ORDER BY (SELECT max(started_at) FROM jobs WHERE kind = $1 AND (key_id = due.key_id OR (key_id IS NULL AND due.key_id IS NULL)))
-                   NULLS FIRST, id LIMIT 1";
+                   ORDER BY CASE WHEN key_id IS NULL THEN (SELECT max(started_at) FROM jobs WHERE kind = $1 AND key_id IS NULL)
+                   ELSE (SELECT max(started_at) FROM jobs WHERE kind = $1 AND key_id = due.key_id) END NULLS FIRST, id LIMIT 1";
         let (time, too_late) = (now(), after(LONGEST_WAIT));
         for _ in 0..TRIES_TO_CLAIM {
             // Looked for among the readers first: a queue that is empty writes nothing.

@@ -122,7 +122,7 @@ impl Store {
     /// seems to be free.
     ///
     /// # Errors
-    /// [`StoreError::Database`].
+    /// [`StoreError::NotHeld`]: this process was not seen for a lease; [`StoreError::Database`].
     pub async fn reserve_spending(&self, id: &str, wish: &Wish<'_>) -> Result<Result<(), Short>, StoreError> {
         let Wish { day, usd, key_id, daily_usd, key_daily_usd } = *wish;
         let mut tx = self.writer.begin().await?;
@@ -141,9 +141,14 @@ impl Store {
                 return Ok(Err(Short { whose, limit_usd, left_usd: left_usd.max(0.0) }));
             }
         }
-        let sql = "INSERT INTO reservations (id, day, usd, key_id, member) VALUES ($1, $2, $3, $4, $5)";
+        // Who is no member any more buys nothing: others do what he was at work on.
+        let sql = "INSERT INTO reservations (id, day, usd, key_id, member)
+                   SELECT $1, $2, $3, $4, $5 WHERE EXISTS (SELECT 1 FROM members WHERE id = $5)";
         let query = sqlx::query(sql).bind(id).bind(day).bind(usd).bind(key_id).bind(self.members.id().to_string());
-        query.execute(&mut *tx).await?;
+        if query.execute(&mut *tx).await?.rows_affected() == 0 {
+            tx.forget().await?;
+            return Err(StoreError::NotHeld);
+        }
         tx.commit().await?;
         Ok(Ok(()))
     }

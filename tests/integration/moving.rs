@@ -19,6 +19,7 @@ use uniground_types::corrections::Change;
 use uniground_types::job::JobState;
 use uniground_types::keys::{NewKey, Scope};
 use uniground_types::scenes::SceneStatus;
+use uniground_types::uploads::Upload;
 
 /// Of the operator: all servers of a test have it.
 const KEY: &str = "a key of the operator's";
@@ -266,6 +267,9 @@ async fn goes_on(server: &Server, Lived { scene, upload, .. }: &Lived, before: &
         .await
         .unwrap();
     assert_eq!(rest.status(), 204, "{}", rest.text().await.unwrap());
+    // Nothing is at work any more when the server is asked next.
+    let made: Upload = client.request(Method::GET, upload).send().await.unwrap().json().await.unwrap();
+    assert_eq!(finished(client, &made.job_id.unwrap()).await.error, None);
 }
 
 /// Whether a data folder is whole.
