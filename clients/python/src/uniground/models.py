@@ -995,6 +995,10 @@ class Job:
     """How often it was started; 0 while it waits for the first time, or when its result was there already."""
     created_at: str
     """When it was asked for, RFC 3339 UTC."""
+    ahead: Optional[int] = None
+    """While it waits, and where one job is asked for: how many of its kind were asked for before it and wait as well. Keys take turns, so
+    one with few jobs waits for fewer.
+    """
     error: Optional[JobError] = None
     eta_s: Optional[float] = None
     """Estimated seconds left; `null` while too little is done to tell."""
