@@ -236,6 +236,30 @@ def orphans_and_torn(site, scenes):
         server.stop()
 
 
+def links(site, scene):
+    """Where callers are sent to the object store, its links give the same bytes, and nothing else."""
+    server = site.serve()
+    try:
+        files = {file: fetched(server, f"/v1/scenes/{scene}/{file}") for file in ("cloud.ply", "instances.ply", "points.bin")}
+    finally:
+        server.stop()
+    site.forget_copies()
+    server = site.serve("--blobs-redirect")
+    try:
+        for file, expected in files.items():
+            with urllib.request.urlopen(f"{server.url}/v1/scenes/{scene}/{file}", timeout=60) as reply:
+                link, same = reply.geturl(), reply.read() == expected
+            check(f"{file} comes from the object store, as it was", same and link.startswith(f"http://127.0.0.1:{site.store.port}/{BUCKET}/"))
+        try:
+            status = urllib.request.urlopen(link.replace("/points.bin", "/cloud.ply"), timeout=60).status
+        except urllib.error.HTTPError as error:
+            status = error.code
+        check(f"a link to one file is none to another ({status})", status == 403)
+        check("nothing large was brought for that", site.bytes_of_copies() < 100_000)
+    finally:
+        server.stop()
+
+
 def refusals(site):
     """What an object store does not go with is said so."""
     data = ("--data-dir", str(site.data))
@@ -278,6 +302,7 @@ def main():
             scenes = within_the_bound(site)
             deleted(site, scenes)
             orphans_and_torn(site, [scene, *scenes[1:]])
+            links(site, scene)
             refusals(site)
         finally:
             store.kill()
