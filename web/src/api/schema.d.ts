@@ -2243,6 +2243,12 @@ export interface components {
         Job: {
             /**
              * Format: int32
+             * @description While it waits, and where one job is asked for: how many of its kind were asked for before it and wait as well. Keys take turns, so
+             *     one with few jobs waits for fewer.
+             */
+            ahead?: number | null;
+            /**
+             * Format: int32
              * @description How often it was started; 0 while it waits for the first time, or when its result was there already.
              */
             attempts: number;
@@ -9118,6 +9124,14 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description Where the object store has it, if the server sends callers there */
+            307: {
+                headers: {
+                    location?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description No key, or one that is not known (any more) */
             401: {
                 headers: {
@@ -9763,6 +9777,14 @@ export interface operations {
             /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
             304: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description Where the object store has it, if the server sends callers there */
+            307: {
+                headers: {
+                    location?: string;
                     [name: string]: unknown;
                 };
                 content?: never;
@@ -11622,6 +11644,14 @@ export interface operations {
                 };
                 content?: never;
             };
+            /** @description Where the object store has it, if the server sends callers there */
+            307: {
+                headers: {
+                    location?: string;
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
             /** @description No key, or one that is not known (any more) */
             401: {
                 headers: {
@@ -12406,6 +12436,14 @@ export interface operations {
             /** @description Nothing has changed since the `ETag` that `If-None-Match` shows */
             304: {
                 headers: {
+                    [name: string]: unknown;
+                };
+                content?: never;
+            };
+            /** @description Where the object store has it, if the server sends callers there */
+            307: {
+                headers: {
+                    location?: string;
                     [name: string]: unknown;
                 };
                 content?: never;
