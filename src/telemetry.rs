@@ -22,6 +22,11 @@ pub fn start_quiet_about_jobs() {
     start_at("warn,uniground::jobs::lane=error");
 }
 
+/// The same for commands whose statements take long because they read all there is.
+pub fn start_quiet_about_statements() {
+    start_at("warn,sqlx::query=error");
+}
+
 fn start_at(levels: &str) {
     let filter = EnvFilter::try_from_default_env().unwrap_or_else(|_| EnvFilter::new(levels));
     let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(|| Scrubbed);

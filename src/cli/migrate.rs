@@ -32,7 +32,7 @@ pub struct MigrateArgs {
 }
 
 pub async fn run(args: &MigrateArgs) -> anyhow::Result<()> {
-    telemetry::start_quiet();
+    telemetry::start_quiet_about_statements();
     let MigrateArgs { from, from_database, to, to_database, json: as_json } = args;
     let (from, to) = (
         Place { data_dir: from.clone(), database: from_database.clone() },
@@ -113,7 +113,8 @@ impl Shown {
             self.clear();
             match io::stderr().is_terminal() {
                 true => self.bar = Some(bar(&name, of)),
-                false => eprintln!("{name}: {of}"),
+                false if of > 0 => eprintln!("{name}: {of}"),
+                false => {}
             }
             self.part = Some(name);
         }

@@ -8,7 +8,9 @@ use crate::store::writer::Writer;
 use crate::store::{Company, LEASE, Store, StoreError, migrations};
 use futures::TryStreamExt;
 use futures::stream::TryChunksError;
+use sqlx::any::{AnyArguments, AnyRow};
 use sqlx::pool::PoolConnection;
+use sqlx::query::Query;
 use sqlx::{Any, AnyConnection, AnyPool, AssertSqlSafe, Executor, Row};
 use std::borrow::Cow;
 use std::fmt::Write;
@@ -40,8 +42,10 @@ const TABLES: [&str; 21] = [
     "key_spending",
     "audit",
 ];
-/// Rows that are read and written at once. No table has more than 30 columns: together they stay under the parameters a statement may have.
+/// Rows that are read, and written in one transaction.
 const ROWS: usize = 1000;
+/// Rows that one statement writes: the time SQLite takes to read a statement grows with the square of its parameters.
+const ROWS_OF_STATEMENT: usize = 50;
 
 /// What a column holds: a value that is not there has a type, too.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -180,29 +184,42 @@ async fn move_table(
     let sql = format!("SELECT {} FROM {table}", names(&columns));
     let mut chunks = sqlx::query(AssertSqlSafe(sql)).fetch(from).try_chunks(ROWS);
     while let Some(rows) = chunks.try_next().await.map_err(|TryChunksError(_, error)| error)? {
-        // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that is.
-        let mut insert = sqlx::query(AssertSqlSafe(insert(table, &columns, rows.len()))).persistent(false);
-        for row in &rows {
-            for (place, (_, kind)) in columns.iter().enumerate() {
-                insert = match kind {
-                    Kind::Integer => insert.bind(row.try_get::<Option<i64>, _>(place)?),
-                    Kind::Real => insert.bind(row.try_get::<Option<f64>, _>(place)?),
-                    Kind::Text => {
-                        let text: Option<String> = row.try_get(place)?;
-                        let kept = text.as_deref().map(|text| kept_by(target.engine, text));
-                        *texts_changed += u64::from(kept.as_deref() != text.as_deref());
-                        insert.bind(kept.map(Cow::into_owned))
-                    }
-                };
-            }
-        }
         let mut tx = target.writer.begin().await?;
-        insert.execute(&mut *tx).await?;
+        for rows in rows.chunks(ROWS_OF_STATEMENT) {
+            write(rows, table, &columns, target.engine, texts_changed)?.execute(&mut *tx).await?;
+        }
         tx.commit().await?;
         progress.done += rows.len() as u64;
         tell(progress);
     }
     Ok(progress.done)
+}
+
+/// What writes rows to a table.
+fn write<'q>(
+    rows: &[AnyRow],
+    table: &str,
+    columns: &[(String, Kind)],
+    engine: Engine,
+    texts_changed: &mut u64,
+) -> sqlx::Result<Query<'q, Any, AnyArguments>> {
+    // Not kept prepared: sqlx takes a number that is not there for a smaller type than one that is.
+    let mut query = sqlx::query(AssertSqlSafe(insert(table, columns, rows.len()))).persistent(false);
+    for row in rows {
+        for (place, (_, kind)) in columns.iter().enumerate() {
+            query = match kind {
+                Kind::Integer => query.bind(row.try_get::<Option<i64>, _>(place)?),
+                Kind::Real => query.bind(row.try_get::<Option<f64>, _>(place)?),
+                Kind::Text => {
+                    let text: Option<String> = row.try_get(place)?;
+                    let kept = text.as_deref().map(|text| kept_by(engine, text));
+                    *texts_changed += u64::from(kept.as_deref() != text.as_deref());
+                    query.bind(kept.map(Cow::into_owned))
+                }
+            };
+        }
+    }
+    Ok(query)
 }
 
 /// Columns to write, as the target has them: both have the same schema.
@@ -266,11 +283,10 @@ mod tests {
             let above: Vec<String> = sqlx::query_scalar(sql).bind(*table).fetch_all(&store.reader).await.unwrap();
             assert!(above.iter().all(|above| TABLES[..place].contains(&&**above)), "{table} comes before {above:?}");
         }
-        // Together its parameters are not more than a statement may have.
         for table in TABLES {
             let columns: Vec<(String, String)> =
                 sqlx::query_as(Engine::Sqlite.columns()).bind(table).fetch_all(&store.reader).await.unwrap();
-            assert!(!columns.is_empty() && columns.len() * ROWS < 1 << 15, "{table}");
+            assert!(!columns.is_empty() && columns.len() * ROWS_OF_STATEMENT < 1 << 15, "{table}");
         }
         store.close().await;
     }
