@@ -415,11 +415,12 @@ fn key_of(name: &str) -> i64 {
 
 #[cfg(test)]
 impl super::Store {
-    /// As if every process had gone, this one too.
+    /// As if every process had gone, and this one were another.
     ///
     /// # Panics
     /// Where the database fails.
     pub async fn forget_all_members(&self) {
-        sqlx::query("DELETE FROM members").execute(self.writer.pool()).await.unwrap();
+        *self.members.member.id.write().unwrap() = new_id();
+        self.members.enter(&self.writer).await.unwrap();
     }
 }
