@@ -349,7 +349,7 @@ async fn a_folder_that_stays_gets_another_database() {
     // A database that holds something is not written over, though it was this folder's own.
     migrate((&data, &database), (&data, SQLITE));
     let full = refused((&data, SQLITE), (&data, &database));
-    assert!(full.contains("is not empty (rows of another data folder: 2 scenes"), "{full}");
+    assert!(full.contains("is not empty (rows of another data folder: 3 scenes"), "{full}");
     let server = house.server(&data, SQLITE);
     assert_same(&told(&server, &lived.paths).await, &later);
     server.stop();
