@@ -22,7 +22,7 @@ const AGE: Duration = Duration::from_secs(1);
 const SIZES_AGE: Duration = Duration::from_mins(1);
 /// A scrape waits so long for numbers that are fresh; the first one longer.
 const PATIENCE: Duration = Duration::from_millis(8);
-const FIRST_PATIENCE: Duration = Duration::from_secs(1);
+const FIRST_PATIENCE: Duration = Duration::from_secs(5);
 
 type Sizes = Arc<BTreeMap<&'static str, u64>>;
 

@@ -13,6 +13,8 @@ from wire import Connection, expect
 MANY, OF_A_BATCH = 100_000, 500
 # A table with so many rows is large; who looks at more rows of one than that reads it from end to end, by whatever index.
 LARGE, MOST = 50_000, 5_000
+# So often at most does a statement do that by a plan from before the table was large.
+FEW = 5
 ID = "'01900000-0000-7000-8000-' || lpad(to_hex(i), 12, '0')"
 # Older than everything that is there, and like it.
 FILL = f"""
@@ -102,7 +104,8 @@ def judge(table, log, large):
                 statement = " ".join(plan["Query Text"].split())
                 bad[statement] += 1
                 worst[statement] = max(worst.get(statement, (-1, "")), (seen, f"{node['Node Type']} over {node['Relation Name']}"))
-    table.equal("statements that look at a large table from end to end", len(bad), 0)
+    # A plan that a connection made while the table was small is used until the table's figures are looked at anew: a few times, then no more.
+    table.equal("statements that look at a large table from end to end", sum(count > FEW for count in bad.values()), 0)
     for statement, count in bad.most_common(10):
         seen, what = worst[statement]
         table.note(f"{count} times {what}, up to {seen:.0f} rows: {statement[:400]}")
