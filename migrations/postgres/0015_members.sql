@@ -9,6 +9,7 @@ ALTER TABLE jobs ADD COLUMN holder TEXT COLLATE "C";
 ALTER TABLE batches ADD COLUMN receiver TEXT COLLATE "C";
 ALTER TABLE reservations ADD COLUMN member TEXT COLLATE "C";
 ALTER TABLE parses ADD COLUMN changes BIGINT NOT NULL DEFAULT 0;
+CREATE INDEX jobs_by_state ON jobs (state, id);
 
 -- Processes that wait are woken: a job that waits by its kind, a key that was made or revoked.
 CREATE FUNCTION tell_of_job() RETURNS trigger LANGUAGE plpgsql AS

@@ -18,3 +18,6 @@ ALTER TABLE reservations ADD COLUMN member TEXT;
 
 -- How often what is known of a parse has changed: names, corrections, what was found. What is kept in memory is of one of these.
 ALTER TABLE parses ADD COLUMN changes INTEGER NOT NULL DEFAULT 0;
+
+-- Lists of jobs in one state.
+CREATE INDEX jobs_by_state ON jobs (state, id);
