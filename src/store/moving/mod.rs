@@ -154,8 +154,8 @@ async fn bring(source: &Store, to: &Place, files: Files, tell: &Tell) -> Result<
         Some((id, engine_before)) => Folder::in_place(path, &id, engine_before, engine),
         None => Folder::open(path, engine),
     });
-    let folder = opening.await.map_err(io::Error::other)??;
-    let database = Database::open(&to.database, &folder).await?;
+    let mut folder = opening.await.map_err(io::Error::other)??;
+    let database = Database::open(&to.database, &mut folder).await?;
     let rows = rows::move_rows(source, &database, &folder.id, tell).await;
     database.close().await;
     let rows::Rows { moved: rows, texts_changed } = rows?;

@@ -72,19 +72,23 @@ pub struct Database {
 impl Database {
     /// A database with the schema and no rows: a new file, or one of a server's that is empty or was begun for the same folder. The folder is
     /// begun, too, once nothing speaks against it.
-    pub async fn open(location: &Location, folder: &Folder) -> Result<Self, MoveError> {
+    pub async fn open(location: &Location, folder: &mut Folder) -> Result<Self, MoveError> {
         let not_used = |source: StoreError| MoveError::To { place: location.to_string(), source };
         let members = Membership::join(location, Company::None, LEASE).await.map_err(not_used)?;
-        let mut is_begun = false;
-        let connections = if let Location::Postgres(url) = location {
+        let (mut server, mut is_begun) = (None, false);
+        if let Location::Postgres(url) = location {
             let connections = Connections::to_server(url).await.map_err(not_used)?;
             // Nothing of a database that is in use is changed, not even its schema.
             is_begun = was_begun_for(&folder.id, &connections, location).await?;
-            begin(folder).await?;
-            connections
-        } else {
-            begin(folder).await?;
-            Connections::to_file(&folder.unfinished_database()).await.map_err(not_used)?
+            server = Some(connections);
+        }
+        if !is_begun {
+            folder.renew_id();
+        }
+        begin(folder).await?;
+        let connections = match server {
+            Some(connections) => connections,
+            None => Connections::to_file(&folder.unfinished_database()).await.map_err(not_used)?,
         };
         let Connections { engine, reader, writer } = connections;
         migrations(engine).run(&writer).await.map_err(StoreError::from)?;

@@ -66,6 +66,11 @@ impl Folder {
         Ok(Self { path, id, engine, engine_before: Some(engine_before), _lock: None })
     }
 
+    /// Gives it another id: under the one it was to have another database may have been begun, and that must not become its own.
+    pub fn renew_id(&mut self) {
+        self.id = new_id();
+    }
+
     /// Notes that something is on its way here, and makes room for it: what an earlier try has left half done goes.
     pub fn begin(&self) -> Result<(), MoveError> {
         let note = serde_json::to_vec_pretty(&Note { id: self.id.clone() }).map_err(StoreError::from)?;
