@@ -4,6 +4,7 @@ use crate::store::Hold;
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 use std::time::Duration;
+use tokio_util::sync::CancellationToken;
 use uniground_core::progress::Progress;
 
 /// A kind of job: its name, what it is asked to do, and how that is done. Every kind waits in a queue of its own.
@@ -35,6 +36,9 @@ pub struct Retry {
 pub struct JobContext<P> {
     /// What is written down of it is written in this hold.
     pub hold: Hold,
+    /// Cancelled once it was given to somebody else, because this process was not seen for longer than its lease: what comes of it counts for
+    /// nothing, and nothing more may be bought for it.
+    pub lost: CancellationToken,
     pub payload: P,
     /// Progress sink and cancellation in one.
     pub progress: Progress,

@@ -122,7 +122,8 @@ impl Jobs {
         let (beating, cancel) = (running.clone(), running.cancel.clone());
         let progress = Progress::new(move |stage, progress| beating.beat(Pulse { stage, progress }), move || cancel.is_cancelled());
         // A task of its own: a job that panics ends itself, not the lane.
-        let context = JobContext { hold: hold.clone(), payload, progress };
+        let lost = CancellationToken::new();
+        let context = JobContext { hold: hold.clone(), lost: lost.clone(), payload, progress };
         let work = {
             let kind = kind.clone();
             async move { kind.run(context).await }
@@ -139,8 +140,12 @@ impl Jobs {
                     let Pulse { stage, progress } = running.pulse();
                     match self.store.save_job_progress(&hold, stage, progress).await {
                         Ok(false) => {}
-                        // Wished elsewhere; or somebody else has it: what comes of it here counts for nothing.
-                        Ok(true) | Err(StoreError::NotHeld) => running.cancel.cancel(),
+                        // Wished elsewhere.
+                        Ok(true) => running.cancel.cancel(),
+                        Err(StoreError::NotHeld) => {
+                            lost.cancel();
+                            running.cancel.cancel();
+                        }
                         Err(error) => tracing::warn!(error = &error as &dyn std::error::Error, "progress not saved"),
                     }
                 }

@@ -113,7 +113,7 @@ impl Service {
         for Finding { trouble, .. } in findings {
             match trouble {
                 Trouble::Parse { id } => self.retire_parse(id).await?,
-                Trouble::Unclaimed { kind, name } => self.store.quarantine(vec![(kind, name.clone())])?,
+                Trouble::Unclaimed { kind, name } => self.store.quarantine(vec![(kind, name.clone())]).await?,
                 Trouble::Job { id } => self.store.end_orphan(id).await?,
                 Trouble::Database | Trouble::Content { .. } | Trouble::Unjudged | Trouble::StrayFile => {}
             }

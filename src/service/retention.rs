@@ -244,8 +244,8 @@ impl Round<'_> {
         let folders: Vec<_> = folders.into_iter().filter(|folder| self.folders.insert(folder.clone())).collect();
         let measured = folders.clone();
         let bytes = spawn_blocking(move || measured.iter().map(|folder| size_of(folder)).sum::<std::io::Result<u64>>()).await??;
-        let blobs = &self.service.store.blobs;
-        blobs.remove_later(blobs.set_aside(folders).await?);
+        let store = &self.service.store;
+        store.blobs.remove_later(store.set_aside(folders).await?);
         Ok(bytes)
     }
 }

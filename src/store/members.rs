@@ -225,16 +225,18 @@ impl Member {
 
     /// Stays a member as long as somebody holds the session: is seen, forgets the gone, and comes back whenever the database was away.
     async fn stay(self, options: AnyConnectOptions, held: Weak<Mutex<Option<AnyConnection>>>, number: Arc<AtomicU64>) {
-        let (mut steady_since, mut beaten) = (Instant::now(), Instant::now());
+        let (mut steady_since, mut beaten, mut wait) = (Instant::now(), Instant::now(), BEAT);
         loop {
-            sleep(BEAT).await;
+            sleep(wait).await;
+            wait = BEAT;
             let Some(held) = held.upgrade() else { return };
             let mut held = held.lock().await;
             if number.load(Relaxed) == LEFT {
                 return;
             }
             // Who stood still, or was away, can not tell who else was.
-            if beaten.elapsed() > BEAT * 3 {
+            let stood_still = beaten.elapsed() > BEAT * 3;
+            if stood_still {
                 steady_since = Instant::now();
             }
             beaten = Instant::now();
@@ -263,6 +265,10 @@ impl Member {
             *held = None;
             number.fetch_add(1, Relaxed);
             steady_since = Instant::now();
+            // Others have ended its session: it learns at once whether it was forgotten.
+            if stood_still {
+                wait = Duration::ZERO;
+            }
         }
     }
 

@@ -2,7 +2,8 @@
 //! that is wrong. It goes to the quarantine, and from there after a week; not even that where the database has no standing to judge.
 
 use super::blobs::{KINDS, remove_tree, size_of};
-use super::{Store, StoreError, now};
+use super::{Scratch, Store, StoreError, now};
+use camino::Utf8PathBuf;
 use jiff::Timestamp;
 use jiff::civil::Date;
 use std::fs;
@@ -110,16 +111,38 @@ impl Store {
         }
         if !unclaimed.is_empty() {
             tracing::warn!(folders = unclaimed.len(), days = QUARANTINE_DAYS, "folders no record speaks of go to the quarantine");
-            self.quarantine(unclaimed)?;
+            self.quarantine(unclaimed).await?;
         }
         if unjudged.is_empty() { self.empty_quarantine().await } else { Ok((0, 0)) }
     }
 
-    /// Takes folders out of `blobs/`, where they can still be had back.
+    /// Takes folders out of the way whose rows were just removed; they go when what is returned does. A content has its name from what it
+    /// holds: who stood still for longer than a lease between rows and folders may find that it was uploaded again, and puts it back.
+    ///
+    /// # Errors
+    /// [`StoreError`].
+    pub async fn set_aside(&self, folders: Vec<Utf8PathBuf>) -> Result<Vec<Scratch>, StoreError> {
+        let (contents, others): (Vec<_>, Vec<_>) = folders.into_iter().partition(|folder| self.blobs.is_content(folder));
+        let mut aside = self.blobs.set_aside(others).await?;
+        for content in contents {
+            let hash = content.file_name().unwrap_or_default().to_owned();
+            for taken in self.blobs.set_aside(vec![content.clone()]).await? {
+                if self.unknown("contents", vec![hash.clone()]).await?.is_empty() {
+                    tracing::warn!(hash, "a content was uploaded again while its last scene was removed: it stays");
+                    self.blobs.put_back(taken, content.clone()).await?;
+                } else {
+                    aside.push(taken);
+                }
+            }
+        }
+        Ok(aside)
+    }
+
+    /// Takes folders out of `blobs/`, where they can still be had back. Those that have a row by then are put back.
     ///
     /// # Errors
     /// Those of the file system.
-    pub fn quarantine(&self, folders: Vec<(&'static str, String)>) -> Result<(), StoreError> {
+    pub async fn quarantine(&self, folders: Vec<(&'static str, String)>) -> Result<(), StoreError> {
         if !self.blobs.has_free_hands() {
             return Ok(());
         }
@@ -132,6 +155,10 @@ impl Store {
                 remove_tree(&from, self.blobs.tmp())?;
             } else {
                 fs::rename(&from, &to)?;
+                if self.unknown(kind, vec![name.clone()]).await?.is_empty() {
+                    tracing::warn!(kind, name, "a folder is spoken of by now: it stays");
+                    fs::rename(&to, &from).or_else(|error| if from.exists() { Ok(()) } else { Err(error) })?;
+                }
             }
         }
         Ok(())

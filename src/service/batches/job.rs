@@ -6,7 +6,7 @@ use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
 use crate::service::answers::Asker;
 use crate::service::vlm::OF_QUESTION;
 use crate::service::{Caller, Service, job_failure, until_cancelled};
-use crate::store::{BatchRow, ClosedItem, Hold, OpenItem};
+use crate::store::{BatchRow, ClosedItem, Hold, OpenItem, StoreError};
 use futures::future::ready;
 use futures::{StreamExt, stream};
 use serde::{Deserialize, Serialize};
@@ -15,6 +15,7 @@ use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
 use tokio::time::{sleep, timeout_at};
+use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 use tracing::Instrument;
 use uniground_core::models::chat::{Budget, OverBudget};
@@ -74,16 +75,17 @@ struct Run {
     done: u32,
     progress: Progress,
     hold: Hold,
+    lost: CancellationToken,
 }
 
 impl Service {
-    async fn run_batch(&self, JobContext { hold, payload, progress }: JobContext<Payload>) -> Result<String, Error> {
+    async fn run_batch(&self, JobContext { hold, lost, payload, progress }: JobContext<Payload>) -> Result<String, Error> {
         // Deleted meanwhile, or submitted by a server that did not live to see it through.
         let Some(batch) = self.store.batch(&payload.batch_id).await? else { return Ok("there is no such batch any more".into()) };
         let (numbers, spent) = self.store.batch_figures(&batch.id).await?;
         let done = numbers.values().sum();
         let budget = batch.max_cost_usd.map(|usd| Budget::new(THIS_BATCH, usd).with_spent(spent));
-        let mut run = Run { service: self.clone(), batch, budget, done, progress, hold };
+        let mut run = Run { service: self.clone(), batch, budget, done, progress, hold, lost };
         loop {
             if !run.is_wanted().await? {
                 return Ok(run.told("stopped"));
@@ -133,9 +135,14 @@ impl Run {
         let soon = || tokio::time::Instant::now() + GRACE;
         loop {
             let end = if let Some((_, until)) = &stop {
-                timeout_at(*until, ends.next()).await.ok().flatten()
+                tokio::select! {
+                    () = self.lost.cancelled() => return Err(StoreError::NotHeld.into()),
+                    end = timeout_at(*until, ends.next()) => end.ok().flatten(),
+                }
             } else {
                 tokio::select! {
+                    // Dropped, calls under way end: others make them by now.
+                    () = self.lost.cancelled() => return Err(StoreError::NotHeld.into()),
                     end = ends.next() => end,
                     cancelled = until_cancelled(&self.progress) => {
                         stop = Some((ParseError::from(cancelled).into(), soon()));

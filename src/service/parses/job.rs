@@ -98,7 +98,7 @@ impl Service {
         }
     }
 
-    async fn run_parse(&self, JobContext { hold, payload, progress }: &JobContext<Payload>) -> Result<String, Error> {
+    async fn run_parse(&self, JobContext { hold, payload, progress, .. }: &JobContext<Payload>) -> Result<String, Error> {
         let (Payload { scene_id, settings }, job_id, progress) = (payload, hold.job_id.as_str(), progress.clone());
         let scene = self.scene_row(scene_id).await?;
         if self.take_stored_parse(&scene, settings, job_id).await? {

@@ -114,7 +114,7 @@ impl Service {
         }
         let _references = self.content_references().await?;
         let left_over = self.store.delete_scene(id).await?.ok_or_else(|| Error::SceneNotFound { id: id.into() })?;
-        Ok(self.store.blobs.set_aside(left_over).await?)
+        Ok(self.store.set_aside(left_over).await?)
     }
 
     pub(super) async fn scene_row(&self, id: &str) -> Result<SceneRow, Error> {

@@ -179,6 +179,10 @@ impl Blobs {
         self.place("contents", hash)
     }
 
+    pub(super) fn is_content(&self, folder: &Utf8Path) -> bool {
+        folder.parent() == Some(&self.root.join("contents"))
+    }
+
     /// Finished stages of parses of a content, for the next parse of it.
     #[must_use]
     pub fn checkpoints(&self, hash: &str) -> Utf8PathBuf {
@@ -280,12 +284,30 @@ impl Blobs {
         if let Some(Shared { cache, .. }) = self.shared.as_deref() {
             return Ok(cache.take(folder)?.map(|path| self.aside(path)));
         }
-        let path = self.tmp.join(Uuid::now_v7().to_string());
+        let path = self.free_name();
         match fs::rename(folder, &path) {
             Ok(()) => Ok(Some(self.aside(path))),
             Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
             Err(error) => Err(error),
         }
+    }
+
+    fn free_name(&self) -> Utf8PathBuf {
+        self.tmp.join(Uuid::now_v7().to_string())
+    }
+
+    /// Puts a folder back that was set aside, unless there is another in its place by now.
+    ///
+    /// # Errors
+    /// Those of the file system; that the object store can not be used.
+    pub async fn put_back(&self, mut aside: Scratch, place: Utf8PathBuf) -> io::Result<()> {
+        let blobs = self.clone();
+        spawn_blocking(move || match (blobs.shared.as_deref(), aside.beyond.take()) {
+            // Its copy comes again when somebody wants it.
+            (Some(Shared { objects, .. }), Some(unclaimed)) => objects.wait(unclaimed.put_back()),
+            _ => fs::rename(&aside.path, &place).or_else(|error| if place.exists() { Ok(()) } else { Err(error) }),
+        })
+        .await?
     }
 
     /// Takes folders out of the way, off the async threads.
@@ -300,11 +322,13 @@ impl Blobs {
         spawn_blocking(move || {
             let mut beyond = blobs.unseal(&folders);
             let taken = folders.iter().map(|folder| {
-                let mut aside = blobs.take_away(folder)?;
-                if let Some(aside) = &mut aside {
-                    aside.beyond = beyond.remove(folder);
-                }
-                Ok(aside)
+                let (aside, beyond) = (blobs.take_away(folder)?, beyond.remove(folder));
+                // Of what there is no copy of here, only the objects go.
+                let aside = aside.or_else(|| beyond.is_some().then(|| blobs.aside(blobs.free_name())));
+                Ok(aside.map(|mut aside| {
+                    aside.beyond = beyond;
+                    aside
+                }))
             });
             taken.filter_map(Result::transpose).collect()
         })

@@ -419,6 +419,22 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn a_folder_that_was_taken_away_is_put_back_unless_there_is_another() {
+        let site = Site::of(2, u64::MAX, DAY).await;
+        let (one, other) = (site.machines[0].1.clone(), site.machines[1].1.clone());
+        site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        // This one has no copy of it.
+        let taken = other.set_aside(vec![other.content("c")]).await.unwrap().remove(0);
+        other.put_back(taken, other.content("c")).await.unwrap();
+        assert_eq!(site.on(1, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(), FILES.len());
+        let taken = one.set_aside(vec![one.content("c")]).await.unwrap().remove(0);
+        site.on(1, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
+        one.put_back(taken, one.content("c")).await.unwrap();
+        gone_but(&site, FILES.len() + 1).await;
+        assert_eq!(site.on(0, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(), FILES.len());
+    }
+
+    #[tokio::test]
     async fn a_damaged_copy_is_brought_anew_and_damaged_objects_are_told() {
         let site = Site::of(2, u64::MAX, DAY).await;
         site.on(0, |blobs| publish(&blobs, &blobs.parse("p")).unwrap()).await;

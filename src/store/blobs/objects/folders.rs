@@ -45,10 +45,16 @@ pub enum Sealed {
 pub struct Unclaimed {
     objects: Objects,
     below: Path,
+    /// The folder they were, and its seal, where it was taken away.
+    was: Option<(FolderName, String)>,
     is_kept: bool,
 }
 
 impl Unclaimed {
+    fn of(objects: &Objects, below: Path) -> Self {
+        Self { objects: objects.clone(), below, was: None, is_kept: false }
+    }
+
     /// Removes them, and waits for that.
     ///
     /// # Errors
@@ -61,6 +67,18 @@ impl Unclaimed {
     /// They are somebody's now.
     pub fn keep(mut self) {
         self.is_kept = true;
+    }
+
+    /// They are the folder again that was taken away, unless somebody has published it anew since.
+    ///
+    /// # Errors
+    /// [`Away`](super::Away).
+    pub async fn put_back(mut self) -> io::Result<()> {
+        let Some((folder, seal)) = self.was.take() else { return Ok(()) };
+        // Where nobody can tell, the sweep finds them.
+        self.is_kept = true;
+        self.is_kept = matches!(self.objects.put_seal(&folder, &seal).await?, Sealed::Ours);
+        Ok(())
     }
 }
 
@@ -127,7 +145,7 @@ impl Objects {
         edition: &str,
         files: Vec<Utf8PathBuf>,
     ) -> io::Result<Unclaimed> {
-        let put = Unclaimed { objects: self.clone(), below: self.edition(folder, edition), is_kept: false };
+        let put = self.nobodys(folder, edition);
         let files = files.into_iter().map(|file| {
             let (from, to) = (local.join(&file), self.file(folder, edition, &file));
             async move { self.put_file(&from, &to).await }
@@ -168,17 +186,21 @@ impl Objects {
         let Some(seal) = self.seal(folder).await? else { return Ok(None) };
         let removed = briefly(self.store.delete(&self.folder(folder).join(SEAL))).await;
         if_there(removed)?;
-        Ok(edition_of(&seal.text).map(|edition| self.nobodys(folder, edition)))
+        Ok(edition_of(&seal.text).map(|edition| {
+            let mut unclaimed = self.nobodys(folder, edition);
+            unclaimed.was = Some((folder.clone(), seal.text.clone()));
+            unclaimed
+        }))
     }
 
     /// An edition that is nobody's.
     pub fn nobodys(&self, folder: &FolderName, edition: &str) -> Unclaimed {
-        Unclaimed { objects: self.clone(), below: self.edition(folder, edition), is_kept: false }
+        Unclaimed::of(self, self.edition(folder, edition))
     }
 
     /// Finished stages of a content, to go.
     pub fn loose_stages(&self, hash: &str) -> Unclaimed {
-        Unclaimed { objects: self.clone(), below: self.checkpoints(hash), is_kept: false }
+        Unclaimed::of(self, self.checkpoints(hash))
     }
 
     /// Brings files of a sealed folder into a local one, numbered in their order; how many bytes.
