@@ -1,7 +1,7 @@
 //! Composition root: configuration to parts to a running service to a clean stop. The only place that knows every part.
 
 use crate::chat::{ChatClient, ReplayCache};
-use crate::config::{ChosenModels, Part, ServeConfig, Work};
+use crate::config::{ChosenModels, Part, ServeConfig, Vectors, Work};
 use crate::http::{self, AllowedHosts, App, EventStreams, Mcp, Origins};
 use crate::inference::Probe;
 use crate::jobs::{JobKind, Jobs};
@@ -56,6 +56,9 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     let store = Store::open_with(&config.data_dir, &config.database.location, &config.blobs.home()?, config.database.lease())
         .await
         .with_context(|| format!("the data folder {}{}", config.data_dir, elsewhere(config)))?;
+    if config.database.vectors == Vectors::Pgvector {
+        store.want_vectors().await?;
+    }
     let mut keys = Keyring::open(store.clone(), api_key.as_deref()).await?;
     if let Some(secret) = config.access.link_secret()? {
         keys = keys.with_link_secret(secret);
@@ -105,6 +108,7 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     };
     let lanes = part.works.iter().map(start).collect();
     tokio::spawn(keep_house(service.clone(), shutdown.clone()));
+    tokio::spawn(keep_index(service.clone(), shutdown.clone()));
     if part.serves {
         tokio::spawn(make_left_uploads(service.clone(), shutdown.clone()));
     }
@@ -203,6 +207,16 @@ async fn keep_house(service: Service, shutdown: CancellationToken) {
             tracing::warn!(error = &error as &dyn std::error::Error, "the daily look at what is stored could not be finished");
         }
         wait = DAY;
+    }
+}
+
+/// Notes what the rooms are known by whose parses are new, or of which something else is known by now.
+async fn keep_index(service: Service, shutdown: CancellationToken) {
+    const EVERY: Duration = Duration::from_secs(3);
+    while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
+        if let Some(Err(error)) = shutdown.run_until_cancelled(service.index_rooms()).await {
+            tracing::warn!(error = &error as &dyn std::error::Error, "rooms could not be indexed");
+        }
     }
 }
 

@@ -10,7 +10,7 @@ mod retention;
 
 pub use blobs::BlobsConfig;
 pub use choice::ChosenModels;
-pub use database::DatabaseConfig;
+pub use database::{DatabaseConfig, Vectors};
 pub use models::{AUTO, BUILTIN, BUILTIN_ENCODER, BUILTIN_MASKS, BundlesConfig, LIBRARY_FOLDER, ModelsConfig, RuntimeConfig};
 pub use part::{Part, Role, Work, WorkerConfig};
 pub use registries::registries;

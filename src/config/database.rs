@@ -15,6 +15,19 @@ pub struct DatabaseConfig {
     /// Only with PostgreSQL
     #[arg(long, env = "UNIGROUND_LEASE_S", default_value_t = LEASE.as_secs(), value_name = "SECONDS", value_parser = clap::value_parser!(u64).range(10..=3600))]
     pub lease_s: u64,
+    /// Where what encoders have seen is looked for, for questions about more rooms than are looked into one by one
+    #[arg(long, env = "UNIGROUND_VECTORS", value_enum, default_value_t, value_name = "WHERE")]
+    pub vectors: Vectors,
+}
+
+/// Where vectors are looked for.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum Vectors {
+    /// Nowhere: names tell which rooms are worth a look
+    #[default]
+    Off,
+    /// In PostgreSQL, which has the extension pgvector
+    Pgvector,
 }
 
 impl DatabaseConfig {
@@ -27,6 +40,6 @@ impl DatabaseConfig {
 
 impl Default for DatabaseConfig {
     fn default() -> Self {
-        Self { location: Location::Folder, lease_s: LEASE.as_secs() }
+        Self { location: Location::Folder, lease_s: LEASE.as_secs(), vectors: Vectors::default() }
     }
 }

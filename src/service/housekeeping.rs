@@ -24,6 +24,7 @@ impl Service {
         // One process does the rest for all.
         let Some(_turn) = self.keeping_house().await? else { return Ok(()) };
         self.let_go(Beside::TheServer).await?;
+        self.store.forget_unused_names().await?;
         // One that was retired is known to be damaged, and kept for its answers only.
         for parse in self.store.all_parses().await?.iter().filter(|parse| !parse.is_retired()) {
             let wrong = self.look_at_parse(&parse.id, Look::Bytes).await?;

@@ -17,6 +17,7 @@ mod lately;
 mod names;
 mod parses;
 mod retention;
+mod room_index;
 mod scenes;
 mod stats;
 mod turns;
@@ -47,6 +48,7 @@ use camino::Utf8PathBuf;
 use lately::Lately;
 use parses::ParseCache;
 use rayon::ThreadPool;
+use room_index::RoomNames;
 use stats::Numbers;
 use std::sync::Arc;
 use std::time::Duration;
@@ -108,6 +110,7 @@ pub struct Service {
     inference: Option<Arc<Probe>>,
     health: Lately<Health>,
     numbers: Numbers,
+    room_names: Arc<RoomNames>,
     metrics: Arc<Metrics>,
 }
 
@@ -143,6 +146,7 @@ impl Service {
             inference: None,
             health: Lately::default(),
             numbers: Numbers::default(),
+            room_names: Arc::default(),
         }
     }
 

@@ -45,6 +45,11 @@ impl Service {
         Ok(self.store.try_turn("house").await?)
     }
 
+    /// At noting what rooms are known by; `None` while another process does.
+    pub(super) async fn indexing(&self) -> Result<Option<Turn>, Error> {
+        Ok(self.store.try_turn("index").await?)
+    }
+
     /// At telling of jobs that end; `None` while another process does.
     pub(super) async fn announcing(&self) -> Result<Option<Turn>, Error> {
         Ok(self.store.try_turn("announcements").await?)

@@ -26,10 +26,12 @@ mod orphans;
 mod parses;
 mod records;
 mod retention;
+mod room_index;
 mod scenes;
 mod sweep;
 mod turns;
 mod uploads;
+mod vectors;
 mod vlm;
 mod writer;
 
@@ -54,9 +56,11 @@ pub use orphans::Orphan;
 pub use parses::{NewParse, ParseRow};
 pub use records::ParseRecord;
 pub use retention::{Aged, Before, Due};
+pub use room_index::{FoundEntry, RoomEntry, ToIndex};
 pub use scenes::{Inserted, NewSceneRow, SceneFilter, SceneRow, SceneRowChange};
 pub use sweep::{KEEP_QUARANTINE_DAYS, Strays};
 pub use uploads::{CameOf, Unfinished, UploadRow, WantedScene};
+pub use vectors::Seen;
 pub use vlm::{Allowance, Short, Wish};
 
 use answers::AnswerQueue;
@@ -74,6 +78,7 @@ use std::sync::Arc;
 use std::time::Duration;
 use tempfile::TempDir;
 use tokio::task::spawn_blocking;
+use uniground_types::labels::Labels;
 use writer::Writer;
 
 #[derive(Debug, thiserror::Error)]
@@ -112,6 +117,8 @@ pub enum StoreError {
     /// The job was given to somebody else.
     #[error("this process was not seen for so long that its job was given to another")]
     NotHeld,
+    #[error("vectors can not be kept (--vectors pgvector): {why}")]
+    NoVectors { why: String },
     #[error("another server uses this data folder")]
     InUse,
     #[error("it holds other things ({found}) and is no data folder of uniground's: choose an empty one")]
@@ -411,7 +418,7 @@ impl Store {
 }
 
 /// What brings a database of SQLite's of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 15] = [
+const MIGRATIONS: [(i64, &str, &str); 16] = [
     (1, "scenes parses jobs answers", include_str!("../../migrations/sqlite/0001_scenes_parses_jobs_answers.sql")),
     (2, "instance names spending", include_str!("../../migrations/sqlite/0002_instance_names_spending.sql")),
     (3, "lanes records", include_str!("../../migrations/sqlite/0003_lanes_records.sql")),
@@ -427,12 +434,14 @@ const MIGRATIONS: [(i64, &str, &str); 15] = [
     (13, "scene changes", include_str!("../../migrations/sqlite/0013_scene_changes.sql")),
     (14, "labels", include_str!("../../migrations/sqlite/0014_labels.sql")),
     (15, "members", include_str!("../../migrations/sqlite/0015_members.sql")),
+    (16, "room index", include_str!("../../migrations/sqlite/0016_room_index.sql")),
 ];
 
 /// The same for PostgreSQL, whose first is what fourteen of SQLite's led to.
-const MIGRATIONS_OF_POSTGRES: [(i64, &str, &str); 2] = [
+const MIGRATIONS_OF_POSTGRES: [(i64, &str, &str); 3] = [
     (14, "everything so far", include_str!("../../migrations/postgres/0014_everything_so_far.sql")),
     (15, "members", include_str!("../../migrations/postgres/0015_members.sql")),
+    (16, "room index", include_str!("../../migrations/postgres/0016_room_index.sql")),
 ];
 
 fn migrations(engine: Engine) -> Migrator {

@@ -3,8 +3,11 @@
 use crate::archives::{EIGHTHS, Scan, THINGS};
 use crate::server::{TestServer, problem};
 use reqwest::{Method, StatusCode};
+use std::time::Duration;
+use tokio::time::sleep;
 use uniground_client::Client;
 use uniground_core::grounding::Status;
+use uniground_types::corrections::Change;
 use uniground_types::labels::Labels;
 use uniground_types::many::ManyGroundRequest;
 use uniground_types::scenes::{Created, Scene, SceneChange};
@@ -56,6 +59,47 @@ async fn the_room_that_has_it_comes_first() {
     assert_eq!((asked.looked_into, asked.answers.len()), (2, 1));
     let codes: Vec<(&str, &str)> = asked.not_asked.iter().map(|not| (not.scene_id.as_str(), not.code.as_str())).collect();
     assert_eq!(codes, [(stored.scene.id.as_str(), "scene_not_ready")]);
+    server.stop().await;
+}
+
+/// Of more rooms than can be looked into one by one those are that are known to have it, also once somebody has said what it is called.
+#[tokio::test(flavor = "multi_thread")]
+async fn among_a_thousand_rooms_the_likely_ones_are_looked_into() {
+    let server = TestServer::start().await;
+    let client = &server.client;
+    let with = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let without = Scan::of_room(&THINGS[..2], &EIGHTHS).zip();
+    server.parsed(without.clone()).await;
+    for _ in 0..1000 {
+        // The same room again and again: parsed once.
+        let upload = client
+            .request(Method::POST, "v1/scenes")
+            .header("content-type", "application/zip")
+            .body(without.clone());
+        assert_eq!(upload.send().await.unwrap().status(), StatusCode::ACCEPTED);
+    }
+    let found = async |query: &str, id: &str| {
+        for _ in 0..100 {
+            let asked = client.ground_many(&ManyGroundRequest { top_k: 1, ..ManyGroundRequest::of(query) }).await.unwrap();
+            assert!(asked.narrowed && asked.looked_into <= 200, "{asked:?}");
+            if asked.answers.iter().any(|found| found.answer.scene_id == id) {
+                return true;
+            }
+            sleep(Duration::from_millis(200)).await;
+        }
+        false
+    };
+    assert!(found("the green trash can", &with.id).await);
+    // What somebody says it is called is known a little later.
+    let named = client.instances(&with.id, 100).await.unwrap().instances;
+    let thing = named.iter().find(|i| i.structure.is_none()).unwrap().id;
+    client
+        .correct(&with.id, &Change::Rename { instance_id: thing, name: "theremin".into() })
+        .await
+        .unwrap();
+    assert!(found("the theremin", &with.id).await);
+    let elsewhere = ManyGroundRequest { labels: labelled(&[("floor", "9")]), ..ManyGroundRequest::of("the theremin") };
+    assert_eq!(client.ground_many(&elsewhere).await.unwrap().looked_into, 0);
     server.stop().await;
 }
 

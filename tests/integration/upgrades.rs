@@ -162,6 +162,8 @@ const LATER_ROWS: &[(&str, &str)] = &[
     ("spending", "INSERT INTO spending VALUES ('2026-11-20', 0.5)"),
     ("data_folder", "INSERT INTO data_folder VALUES ('a-folder', '2026-11-20T00:00:00Z')"),
     ("reservations", "INSERT INTO reservations (id, day, usd) VALUES ('r', '2026-11-20', 0.25)"),
+    ("room_entries", "INSERT INTO room_entries VALUES ('PARSE', 'crate', 'red', 0.5)"),
+    ("room_names", "INSERT INTO room_names VALUES ('crate')"),
     ("members", "INSERT INTO members (id, seen_at) VALUES ('a-process-that-is-gone', 0.0)"),
     (
         "batches",

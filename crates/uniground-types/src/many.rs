@@ -9,7 +9,7 @@ use std::collections::BTreeMap;
 
 /// Most scenes that are answered in full.
 const MOST_ANSWERS: u32 = 20;
-/// Most scenes that one question is about.
+/// Most scenes that one question names, and that are looked into one by one.
 pub const MOST_SCENES: usize = 1000;
 
 /// A question about many scenes.
@@ -102,6 +102,9 @@ pub struct ManyAnswers {
     pub query: String,
     /// How many scenes were looked into.
     pub looked_into: u32,
+    /// More than 1,000 scenes were meant: those were looked into that most likely have it, by what their things are called.
+    #[serde(default)]
+    pub narrowed: bool,
     /// Best first: what is grounded before what is ambiguous, uncertain, or not there; then by confidence.
     pub answers: Vec<SceneAnswer>,
     /// Scenes that could not be asked, and why: those that are not parsed yet, for the most part.

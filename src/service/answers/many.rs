@@ -20,6 +20,8 @@ use uniground_types::question::{GroundRequest, ReasonerChoice};
 const AT_ONCE: usize = 4;
 /// So few scenes stay in memory once they were looked into.
 const FEW_SCENES: usize = 32;
+/// So many are looked into where more are meant than can be.
+const LIKELY_SCENES: usize = 200;
 /// How long a scene waits when all places are taken, and how often.
 const STEP_ASIDE: Duration = Duration::from_millis(100);
 const TRIES: u32 = 100;
@@ -33,7 +35,7 @@ impl Service {
         request.check()?;
         let (start, question) = (Instant::now(), request.of_one());
         self.reviewer(&question, &caller)?;
-        let rows = self.scenes_meant(&request).await?;
+        let (rows, narrowed) = self.scenes_meant(&request).await?;
         let glance_at = GroundRequest { reasoner: ReasonerChoice::Builtin, ..question.clone() };
         let stays = rows.len() <= FEW_SCENES;
         let looks: Vec<(SceneRow, Result<Standing, Error>)> = stream::iter(rows)
@@ -101,22 +103,22 @@ impl Service {
             let (a, b) = (standing_of(a), standing_of(b));
             a.0.cmp(&b.0).then(b.1.total_cmp(&a.1))
         });
-        Ok(ManyAnswers { query: request.query, looked_into, answers, not_asked })
+        Ok(ManyAnswers { query: request.query, looked_into, narrowed, answers, not_asked })
     }
 
-    async fn scenes_meant(&self, request: &ManyGroundRequest) -> Result<Vec<SceneRow>, Error> {
+    /// The scenes to look into: all that are meant, or where those are too many the likeliest by what they are known by, and whether that is so.
+    async fn scenes_meant(&self, request: &ManyGroundRequest) -> Result<(Vec<SceneRow>, bool), Error> {
         let filter = SceneFilter { ids: request.scenes.clone(), labels: request.labels.clone() };
         let rows = self.store.scenes(MOST_SCENES as u32 + 1, None, &filter).await?;
         if rows.len() > MOST_SCENES {
-            let detail = format!("more than {MOST_SCENES} scenes are meant: narrow them down by labels, or name those to look in");
-            return Err(Error::invalid("/scenes", detail));
+            return Ok((self.likely_scenes(&request.query, &request.labels, LIKELY_SCENES).await?, true));
         }
         let found: HashSet<&str> = rows.iter().map(|row| row.id.as_str()).collect();
         for id in request.scenes.iter().flatten().filter(|id| !found.contains(id.as_str())) {
             // It may be there under other labels.
             self.scene_row(id).await?;
         }
-        Ok(rows)
+        Ok((rows, false))
     }
 
     /// One of the scenes, as a question about it alone.

@@ -18,11 +18,13 @@ use std::io;
 use tokio::task::spawn_blocking;
 
 /// Every table that moves, each after those its rows refer to. `data_folder`, which says whose a database is, and `members`, who is at work on
-/// it, are each database's own.
-const TABLES: [&str; 21] = [
+/// it, are each database's own; so are vectors, which are made anew.
+const TABLES: [&str; 23] = [
     "contents",
     "parses",
     "instances",
+    "room_entries",
+    "room_names",
     "instance_names",
     "name_indexes",
     "corrections",

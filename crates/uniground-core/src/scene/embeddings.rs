@@ -109,6 +109,12 @@ impl Embeddings {
         self.rows[index * self.dim..(index + 1) * self.dim].iter().any(|v| *v != f16::ZERO)
     }
 
+    /// The vector of the instance at this index; zeros where it was not seen.
+    #[must_use]
+    pub fn row(&self, index: usize) -> Vec<f32> {
+        self.rows[index * self.dim..(index + 1) * self.dim].iter().map(|v| v.to_f32()).collect()
+    }
+
     /// One for each instance, in order of id; all 0 until [`with_norms`](Self::with_norms).
     #[must_use]
     pub fn norms(&self) -> &[Norms] {

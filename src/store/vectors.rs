@@ -1,0 +1,157 @@
+//! What an encoder has seen of every instance, where the database can look for what is near a vector: PostgreSQL with the extension pgvector.
+//! Approximate, by a graph (HNSW) of each encoder's own; the tables are there once somebody has asked for them (`--vectors pgvector`).
+
+use super::database::Engine;
+use super::{Labels, Store, StoreError};
+use sha2::{Digest, Sha256};
+use sqlx::{AssertSqlSafe, Executor};
+use std::fmt::Write;
+
+/// What an encoder has seen of a room.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Seen {
+    /// Its name and version: vectors of different ones have nothing in common.
+    pub encoder: String,
+    /// One for each instance that was seen, of unit length.
+    pub vectors: Vec<Vec<f32>>,
+}
+
+/// Instances that are looked up for one question: several may be of one room.
+const NEAREST: u32 = 1000;
+/// How many the graph keeps in hand while it is walked; no more come of it. More find more of the nearest, and take longer.
+const IN_HAND: u32 = 1000;
+/// Rows that one statement writes.
+const TOGETHER: usize = 50;
+/// The longest vectors that the extension indexes.
+const LONGEST: usize = 2000;
+
+impl Store {
+    /// Has vectors kept from now on: makes what is needed for that, and has every room indexed anew where it was not there.
+    ///
+    /// # Errors
+    /// [`StoreError::NoVectors`] where the database can not; [`StoreError::Database`].
+    pub async fn want_vectors(&self) -> Result<(), StoreError> {
+        if self.engine == Engine::Sqlite {
+            return Err(StoreError::NoVectors { why: "rows are kept in SQLite's file, which can not".into() });
+        }
+        if self.has_vectors().await? {
+            return Ok(());
+        }
+        let mut tx = self.writer.begin().await?;
+        let made = tx.execute("CREATE EXTENSION IF NOT EXISTS vector").await;
+        made.map_err(|error| StoreError::NoVectors {
+            why: format!("{error}; install pgvector on the database's server and run CREATE EXTENSION vector there as its superuser"),
+        })?;
+        tx.execute(
+            "CREATE TABLE IF NOT EXISTS instance_vectors (
+                 parse_id TEXT COLLATE \"C\" NOT NULL REFERENCES parses (id) ON DELETE CASCADE,
+                 encoder TEXT COLLATE \"C\" NOT NULL,
+                 embedding vector NOT NULL);
+             CREATE INDEX IF NOT EXISTS instance_vectors_by_parse ON instance_vectors (parse_id);
+             UPDATE parses SET indexed = NULL",
+        )
+        .await?;
+        tx.commit().await
+    }
+
+    /// Whether vectors are kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn has_vectors(&self) -> Result<bool, StoreError> {
+        match self.engine {
+            Engine::Sqlite => Ok(false),
+            Engine::Postgres => Ok(sqlx::query_scalar("SELECT to_regclass('instance_vectors') IS NOT NULL")
+                .fetch_one(&self.reader)
+                .await?),
+        }
+    }
+
+    /// Keeps what was seen of a room in place of what was kept before, where vectors are kept. The graph takes its time: nobody who writes waits
+    /// for it.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`]; also where the parse is gone by then.
+    pub async fn keep_vectors(&self, parse_id: &str, seen: Option<&Seen>) -> Result<(), StoreError> {
+        if !self.has_vectors().await? {
+            return Ok(());
+        }
+        let mut tx = self.writer.pool().begin().await?;
+        sqlx::query("DELETE FROM instance_vectors WHERE parse_id = $1")
+            .bind(parse_id)
+            .execute(&mut *tx)
+            .await?;
+        let dim = seen.and_then(|seen| seen.vectors.first()).map_or(0, Vec::len);
+        let Some(Seen { encoder, vectors }) = seen.filter(|_| (1..=LONGEST).contains(&dim)) else { return Ok(tx.commit().await?) };
+        // Its name is ours: nothing of the encoder's stands in it but a hash.
+        let digest = Sha256::digest(encoder);
+        let name: String = digest[..8].iter().map(|byte| format!("{byte:02x}")).collect();
+        let sql = format!(
+            "CREATE INDEX IF NOT EXISTS instance_vectors_{name} ON instance_vectors
+             USING hnsw ((embedding::vector({dim})) vector_ip_ops) WHERE encoder = {}",
+            quoted(encoder)
+        );
+        tx.execute(AssertSqlSafe(sql)).await?;
+        for vectors in vectors.chunks(TOGETHER) {
+            let rows: Vec<String> = (0..vectors.len()).map(|at| format!("($1, $2, ${}::vector)", at + 3)).collect();
+            let sql = format!("INSERT INTO instance_vectors (parse_id, encoder, embedding) VALUES {}", rows.join(", "));
+            let query = sqlx::query(AssertSqlSafe(sql)).bind(parse_id).bind(encoder);
+            vectors.iter().fold(query, |query, vector| query.bind(literal(vector))).execute(&mut *tx).await?;
+        }
+        Ok(tx.commit().await?)
+    }
+
+    /// Rooms that have something near a vector, best first, with its cosine; nothing where no vectors are kept.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn rooms_near(&self, encoder: &str, vector: &[f32], labels: &Labels, most: u32) -> Result<Vec<(String, f64)>, StoreError> {
+        if !self.has_vectors().await? {
+            return Ok(Vec::new());
+        }
+        let (dim, is_meant) = (vector.len(), self.is_meant("parse_id", "$2"));
+        // The encoder stands in the statement: an index of a part of the table is used where the condition is its own.
+        let sql = format!(
+            "SELECT parse_id, max(cosine) AS cosine FROM (
+                 SELECT parse_id, -(embedding::vector({dim}) <#> $1::vector({dim})) AS cosine FROM instance_vectors
+                 WHERE encoder = {} ORDER BY embedding::vector({dim}) <#> $1::vector({dim}) LIMIT {NEAREST}) AS entry
+             WHERE {is_meant} GROUP BY parse_id ORDER BY cosine DESC, parse_id DESC LIMIT $3",
+            quoted(encoder)
+        );
+        let mut reader = self.reader.begin().await?;
+        reader.execute(AssertSqlSafe(format!("SET LOCAL hnsw.ef_search = {IN_HAND}"))).await?;
+        let near = sqlx::query_as(AssertSqlSafe(sql))
+            .bind(literal(vector))
+            .bind(serde_json::to_string(labels)?)
+            .bind(i64::from(most));
+        let near = near.fetch_all(&mut *reader).await?;
+        reader.rollback().await?;
+        Ok(near)
+    }
+}
+
+/// A vector as the extension reads it.
+fn literal(vector: &[f32]) -> String {
+    let mut text = String::with_capacity(vector.len() * 12);
+    for (at, value) in vector.iter().enumerate() {
+        let _ = write!(text, "{}{value}", if at == 0 { "[" } else { "," });
+    }
+    text.push(']');
+    text
+}
+
+/// A text as a statement says it.
+fn quoted(text: &str) -> String {
+    format!("'{}'", text.replace('\'', "''"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn texts_end_where_they_end() {
+        assert_eq!(quoted("it's'; DROP TABLE jobs; --"), "'it''s''; DROP TABLE jobs; --'");
+        assert_eq!(literal(&[0.5, -1.0, 0.0]), "[0.5,-1,0]");
+    }
+}
