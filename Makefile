@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: web web-check web-test demo serve test models test-postgres test-objects test-deploy test-cluster test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers
+.PHONY: web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -31,6 +31,10 @@ test-deploy: ## The files of deploy/ by those who read them: docker compose, Cad
 test-cluster: ## Two APIs and three workers over one PostgreSQL, killed and stopped at random; FLAGS=--full for half an hour of it (Debian's postgresql)
 	$(CARGO) build --release --locked --quiet
 	PYTHON=$(PYTHON) scripts/test-cluster.sh $(FLAGS)
+
+test-vectors: ## Thousands of rooms, and vectors in PostgreSQL, held against a look into every one; FLAGS="--rooms N --vectors N" for more (installs into .venv-vectors)
+	$(CARGO) build --release --locked --quiet
+	PYTHON=$(PYTHON) scripts/test-vectors.sh $(FLAGS)
 
 test-objects: ## The service with its scans in an object store (s3s-fs, a real S3 server, which is compiled once into target/tools)
 	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-objects.sh $(TESTS)

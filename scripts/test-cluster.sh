@@ -1,6 +1,6 @@
 #!/bin/sh
 # Several processes over one PostgreSQL: killed and stopped at random (tests/cluster/kills.py, which takes the flags: --full, --seed N, --keep FOLDER,
-# --blobs s3://…), and behind the proxy of deploy/ (tests/cluster/proxy.py).
+# --store S3S_FS), and behind the proxy of deploy/ (tests/cluster/proxy.py).
 #
 # Needs ./target/release/uniground, Python 3, and Debian's postgresql and caddy.
 set -eu
@@ -12,4 +12,4 @@ chmod 755 "$place"
 for database in proxy kills; do createdb --maintenance-db "$server/postgres" $database; done
 ${PYTHON:-python3} tests/cluster/test_judgement.py
 ${PYTHON:-python3} tests/cluster/proxy.py --program target/release/uniground --database "$server/proxy"
-${PYTHON:-python3} tests/cluster/kills.py --program target/release/uniground --database "$server/kills" --log "$log" "$@"
+${PYTHON:-python3} tests/cluster/kills.py --program target/release/uniground --database "$server/kills" --log "$log" --stop "$stop" --start "$start" "$@"

@@ -71,7 +71,8 @@ fn print(found: &ManyAnswers) -> anyhow::Result<()> {
         0 => String::new(),
         left_out => format!(", {left_out} could not be asked: {}", found.not_asked[0].detail),
     };
-    eprintln!("{} looked into{left_out}", counted(found.looked_into));
+    let narrowed = if found.narrowed { ", the likeliest of more than there is time for" } else { "" };
+    eprintln!("{} looked into{narrowed}{left_out}", counted(found.looked_into));
     Ok(())
 }
 

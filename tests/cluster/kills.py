@@ -2,17 +2,20 @@
 """A cluster whose processes are killed, and stand still past their leases, while they parse and ask a model: every job ends once, nothing is paid
 twice or lost, and every API tells the same.
 
-usage: kills.py --program PROGRAM --database postgres://… --log FILE [--blobs s3://…] [--full] [--seed N] [--keep FOLDER]
+usage: kills.py --program PROGRAM --database postgres://… --log FILE --stop COMMAND --start COMMAND [--store S3S_FS] [--full] [--seed N] [--keep FOLDER]
 
 The database is empty and belongs to a PostgreSQL whose superuser the address names; FILE is that server's log (scripts/test-cluster.sh starts one).
-Without --blobs all processes share a data folder; with it, which wants AWS_… in the environment, each has one of its own. Only Python's standard library
-and psql are needed. Moments come from the seed, but a machine is never the same twice: a run that fails tells what it saw.
+In the middle of it the database is away for a while: COMMANDs stop and start its server. Without --store all processes share a data folder; with it each
+has one of its own, files are in that S3 server, and it stands still while the database is away. Only Python's standard library and psql are needed. Moments come from the seed, but a machine is never the same twice: a run that fails tells what it saw.
 """
 import argparse
+import os
 import random
 import resource
 import shutil
+import shlex
 import signal
+import subprocess
 import sys
 import tempfile
 import time
@@ -28,11 +31,13 @@ import throughput
 from callers import Caller, Crowd
 from fleet import Fleet
 from model import Model
+from object_store import BUCKET, ObjectStore
 from questions import questions
 from scans import Scans
 from server import Server, log_lines
 from sql import WITNESS, Database
 from table import Table
+from wire import Connection
 
 # The shortest there may be, so that standing still past it does not take long.
 LEASE_S = 10
@@ -40,6 +45,8 @@ LEASE_S = 10
 # and a kill finds calls under way), and seconds that the whole may take.
 SHORT, FULL = (8, 60, 8, 3.0, 1500), (60, 500, 60, 3.2, 3600)
 BATCHES, FRAMES = 3, 6
+# How long the database, and the store of files, are away.
+AWAY_S = 20
 
 
 def items_of(scenes, number):
@@ -85,12 +92,15 @@ def prepared(fleet, scans):
     return [created["scene"]["id"] for created in made]
 
 
-def storm(fleet, crowd, number, dice):
-    """So many disturbances at moments of the seed, the last of them while there is still something to do; one at a time, so that somebody is always there."""
+def storm(fleet, crowd, number, dice, outage):
+    """So many disturbances at moments of the seed, the last of them while there is still something to do; one at a time, so that somebody is always there.
+    Halfway through comes the outage."""
     for at in range(number):
         time.sleep(dice.uniform(0.3, 2.0))
         if crowd.is_over():
             return at
+        if at == number // 2:
+            outage()
         # Workers three times out of four: they have the jobs.
         member = dice.choice(fleet.of(dice.choice(["worker", "worker", "worker", "api"])))
         how = dice.choice(["killed", "killed", "stopped"])
@@ -98,7 +108,29 @@ def storm(fleet, crowd, number, dice):
     return number
 
 
-def run(table, options, folder, most):
+def outage(table, fleet, database, options, store):
+    """The database is away, and the store of files with it: every API says so, and is well again soon after."""
+    shell = lambda command: subprocess.run(shlex.split(command), check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    ready = lambda address: Connection(address, 5).call("GET", "/readyz").status
+    shell(options.stop)
+    if store:
+        store.freeze()
+    time.sleep(AWAY_S / 2)
+    away = [ready(address) for address in fleet.addresses()]
+    time.sleep(AWAY_S / 2)
+    if store:
+        store.thaw()
+    shell(options.start)
+    back = time.time()
+    while any(ready(address) != 200 for address in fleet.addresses()) and time.time() < back + 60:
+        time.sleep(0.2)
+    took = time.time() - back
+    table.equal(f"/readyz while the database{' and the store of files are' if store else ' is'} away for {AWAY_S} s", away, [503] * len(away))
+    table.row("ready again after its return, s", f"{took:.1f}", "15 at most", took <= 15)
+    database.value("SELECT 1")
+
+
+def run(table, options, folder, most, store):
     parses, number, disturbances, pace_s, limit_s = most
     program, database, scans = options.program.resolve(), Database(options.database), Scans(FRAMES)
     start = time.time()
@@ -106,14 +138,15 @@ def run(table, options, folder, most):
     table.row("undisturbed, one server", f"{time.time() - start:.0f} s, {calm_calls} calls of the model")
     model = Model()
     model.pace_s = pace_s
-    with Fleet(program, folder, options.database, model, LEASE_S, options.blobs).add() as fleet:
+    blobs = f"s3://{BUCKET}" if store else None
+    with Fleet(program, folder, options.database, model, LEASE_S, blobs).add() as fleet:
         database.run(WITNESS)
         scenes = prepared(fleet, scans)
         items = items_of(scenes, number)
         single = questions(BATCHES * number + 1000, 7)[BATCHES * number:]
         start = time.time()
         crowd = Crowd(fleet, scans, scenes, items, single, parses, limit_s / 2)
-        done = storm(fleet, crowd, disturbances, random.Random(options.seed))
+        done = storm(fleet, crowd, disturbances, random.Random(options.seed), lambda: outage(table, fleet, database, options, store))
         storm_s = time.time() - start
         crowd.end()
         # A quick machine is through before all of them have come.
@@ -124,8 +157,8 @@ def run(table, options, folder, most):
         judgement.ends(table, fleet.end())
         numbers = sum((log_lines(folder / f"{member.name}.log")[0] for member in fleet.members), start=Counter())
         table.row("errors in the logs", ", ".join(f"{count} {what}" for what, count in numbers.most_common(3)) or "0", "told only")
-    throughput.run(table, program, folder, database, model, scans, options.blobs, LEASE_S, *((4, 2) if most is SHORT else (12, 3)))
-    plans.run(table, program, folder, database, model, scenes, scans, options.log, options.blobs, LEASE_S)
+    throughput.run(table, program, folder, database, model, scans, blobs, LEASE_S, *((4, 2) if most is SHORT else (12, 3)))
+    plans.run(table, program, folder, database, model, scenes, scans, options.log, blobs, LEASE_S)
     model.shutdown()
 
 
@@ -138,7 +171,9 @@ def main():
     parser.add_argument("--program", required=True, type=Path, help="the binary under test")
     parser.add_argument("--database", required=True, help="an empty database of PostgreSQL's")
     parser.add_argument("--log", required=True, type=Path, help="the log of its server")
-    parser.add_argument("--blobs", help="a store of files, like s3://bucket/prefix; each process has a data folder of its own then")
+    parser.add_argument("--stop", required=True, help="stops that server")
+    parser.add_argument("--start", required=True, help="starts it again")
+    parser.add_argument("--store", type=Path, help="an S3 server for files; each process has a data folder of its own then")
     parser.add_argument("--full", action="store_true", help="60 parses, three batches of 500, 60 disturbances")
     parser.add_argument("--seed", type=int, default=20261124)
     parser.add_argument("--keep", type=Path, help="leave data folders and logs here")
@@ -153,9 +188,13 @@ def main():
     folder = options.keep or Path(tempfile.mkdtemp(prefix="cluster-"))
     folder.mkdir(parents=True, exist_ok=True)
     table = Table(f"cluster: 2 APIs, 3 workers, {most[0]} parses, {BATCHES} batches of {most[1]}, lease {LEASE_S} s, seed {options.seed}")
+    store = ObjectStore(options.store.resolve(), folder / "store") if options.store else None
     try:
-        run(table, options, folder, most)
+        os.environ.update(store.environment() if store else {})
+        run(table, options, folder, most, store)
     finally:
+        if store:
+            store.kill()
         table.print()
         if not options.keep:
             shutil.rmtree(folder, ignore_errors=True)

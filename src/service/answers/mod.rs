@@ -20,7 +20,7 @@ use crate::store::NewAnswer;
 pub use in_frame::Frame;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-use tokio::time::timeout;
+use tokio::time::{sleep, timeout};
 use uniground_core::grounding::pipeline::{self, Answered, Ask, Review, Shortlist, WithoutModel};
 use uniground_core::grounding::query::{AutoParser, BuiltinParser, QueryParser, VlmParser};
 use uniground_core::grounding::reasoner::builtin;
@@ -30,6 +30,11 @@ use uniground_core::models::chat::{Budget, CallRecord, OverBudget};
 use uniground_core::scene::InstanceId;
 use uniground_types::answer::{Answer, Call, CoordinateFrame, Models, Shortlisted, Trace, Usage};
 use uniground_types::question::{DEFAULT_MIN_CONFIDENCE, GroundRequest, Include, ParserChoice, ReasonerChoice, ShortlistRequest};
+
+/// How long the store may be away until an answer of a batch is lost, and asked for again.
+pub(super) const STORE_IS_BACK: Duration = Duration::from_mins(5);
+/// How often it is tried.
+const LOOK_AGAIN: Duration = Duration::from_secs(1);
 
 /// Who asks, and what goes with that where it is not somebody who waits for the answer.
 pub(super) struct Asker {
@@ -115,7 +120,9 @@ impl Service {
         let mut answer = self.told(&answered, asker.answer_id, scene.id, version, &source.parse);
         answer.in_frame = frame.map(|frame| frame.holding(&answer.targets));
         let model = self.vlm.as_ref().map_or("", |vlm| vlm.name());
-        match self.keep(&answer, model, &parse_id, answered.calls).await {
+        // Nobody waits for an item of a batch, and it may have been paid for: it is kept as soon as that can be done.
+        let patience = if asker.is_batch { STORE_IS_BACK } else { Duration::ZERO };
+        match self.keep_within(patience, &answer, model, &parse_id, answered.calls).await {
             Ok(true) => {}
             Ok(false) => {
                 self.store.blobs.discard(self.store.blobs.answer(&answer.id)).await?;
@@ -138,6 +145,27 @@ impl Service {
         answered.degraded = true;
         answered.corrections.push(format!("the model did not answer within {seconds} s"));
         Ok(answered)
+    }
+
+    /// The same where the store may be away for so long.
+    async fn keep_within(
+        &self,
+        patience: Duration,
+        answer: &Answer,
+        model: &str,
+        parse_id: &str,
+        calls: Vec<CallRecord>,
+    ) -> Result<bool, Error> {
+        let start = Instant::now();
+        loop {
+            match self.keep(answer, model, parse_id, calls.clone()).await {
+                Err(error) if error.may_pass() && start.elapsed() < patience => {
+                    tracing::warn!(error = &error as &dyn std::error::Error, "an answer can not be kept yet");
+                    sleep(LOOK_AGAIN).await;
+                }
+                kept => return kept,
+            }
+        }
     }
 
     /// Keeps an answer with what led to it; `false` when its scene is gone.

@@ -3,7 +3,7 @@
 use super::reason;
 use crate::error::Error;
 use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
-use crate::service::answers::Asker;
+use crate::service::answers::{Asker, STORE_IS_BACK};
 use crate::service::vlm::OF_QUESTION;
 use crate::service::{Caller, Service, job_failure, until_cancelled};
 use crate::store::{BatchRow, ClosedItem, Hold, OpenItem, StoreError};
@@ -14,7 +14,7 @@ use std::pin::pin;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
-use tokio::time::{sleep, timeout_at};
+use tokio::time::{sleep, sleep_until};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::AbortOnDropHandle;
 use tracing::Instrument;
@@ -56,7 +56,7 @@ const FIRST_WAIT: Duration = Duration::from_secs(1);
 /// How long a question waits that found all places taken: people come first.
 const STEP_ASIDE: Duration = Duration::from_millis(50);
 
-/// How long questions under way may take once the job is to stop. As long as requests have when the server stops.
+/// How long questions under way may take once somebody wants the job to stop. As long as requests have when the server stops.
 const GRACE: Duration = Duration::from_secs(5);
 
 /// How an item ended.
@@ -131,24 +131,21 @@ impl Run {
         let mut ends = pin!(wanted.map(task).buffer_unordered(width));
         let (mut closed, mut written, mut money) = (Vec::new(), Instant::now(), Money::Enough);
         // Why it stops, and until when it waits for what is under way: that has been paid for.
-        let mut stop: Option<(Error, tokio::time::Instant)> = None;
+        let (mut stop, mut is_cancelled): (Option<(Error, tokio::time::Instant)>, bool) = (None, false);
         let soon = || tokio::time::Instant::now() + GRACE;
+        // What was paid for is kept once the store is back.
+        let when_it_is_back = || tokio::time::Instant::now() + STORE_IS_BACK;
         loop {
-            let end = if let Some((_, until)) = &stop {
-                tokio::select! {
-                    () = self.lost.cancelled() => return Err(StoreError::NotHeld.into()),
-                    end = timeout_at(*until, ends.next()) => end.ok().flatten(),
-                }
-            } else {
-                tokio::select! {
-                    // Dropped, calls under way end: others make them by now.
-                    () = self.lost.cancelled() => return Err(StoreError::NotHeld.into()),
-                    end = ends.next() => end,
-                    cancelled = until_cancelled(&self.progress) => {
-                        stop = Some((ParseError::from(cancelled).into(), soon()));
-                        asking.store(false, Relaxed);
-                        continue;
-                    }
+            let end = tokio::select! {
+                // Dropped, calls under way end: others make them by now.
+                () = self.lost.cancelled() => return Err(StoreError::NotHeld.into()),
+                end = ends.next() => end,
+                () = sleep_until(stop.as_ref().map_or_else(when_it_is_back, |(_, until)| *until)), if stop.is_some() => None,
+                cancelled = until_cancelled(&self.progress), if !is_cancelled => {
+                    is_cancelled = true;
+                    stop = Some((ParseError::from(cancelled).into(), soon()));
+                    asking.store(false, Relaxed);
+                    continue;
                 }
             };
             match end {
@@ -156,7 +153,7 @@ impl Run {
                 Some(Ok(End::Closed(item))) => closed.push(item),
                 Some(Ok(End::OverBudget)) => money = Money::Spent,
                 // The store is in trouble: what is known is kept, and the job is tried again.
-                Some(Err(error)) => drop(stop.get_or_insert_with(|| (error, soon()))),
+                Some(Err(error)) => drop(stop.get_or_insert_with(|| (error, when_it_is_back()))),
             }
             // Of all items, so that a run that goes on gets further than the one before. Who is to stop is told above.
             let share = (self.done as f32 + closed.len() as f32) / self.batch.items.max(1) as f32;
@@ -165,7 +162,7 @@ impl Run {
                 written = Instant::now();
                 match self.write(&mut closed).await {
                     Ok(is_wanted) => drop(asking.fetch_and(is_wanted, Relaxed)),
-                    Err(error) => drop(stop.get_or_insert_with(|| (error, soon()))),
+                    Err(error) => drop(stop.get_or_insert_with(|| (error, when_it_is_back()))),
                 }
             }
             if money == Money::Spent || stop.is_some() {

@@ -16,7 +16,9 @@ const LEAST_GUESS: f32 = 0.05;
 /// Something of any size is among the parts and wholes of a room.
 const NOT_A_THING: f32 = 0.55;
 /// A colour that describes a thing less is none of its own.
-const LEAST_COLOUR: f32 = 0.3;
+const LEAST_COLOUR: f32 = 0.2;
+/// Nor is one that describes it so much less than another: those are its kin.
+const OF_THE_BEST: f32 = 0.6;
 /// What carries the thing that is asked for, as far as its name says.
 const CARRIES: f32 = 0.6;
 /// What is left of a fit where the colour is another, or not known.
@@ -30,7 +32,7 @@ const WITHOUT_TARGET: f32 = 0.02;
 pub struct Entry {
     /// In lower case, as somebody gave it or the naming guessed it.
     pub name: String,
-    /// The one that describes it best, if any does.
+    /// One that describes it; `None` where no colour does.
     pub colour: Option<ColourName>,
     /// How much the best of them is believed to be called so, `0..=1`.
     pub weight: f32,
@@ -41,11 +43,13 @@ pub struct Entry {
 pub fn entries(instances: &[Instance]) -> Vec<Entry> {
     let mut best: BTreeMap<(String, Option<&'static str>), Entry> = BTreeMap::new();
     for instance in instances.iter().filter(|i| i.structure.is_none() && !i.dismissed && !i.gone) {
-        let colour = colour_of(instance);
+        let colours = colours_of(instance);
         for (name, weight) in names_of(instance) {
-            let key = (name.clone(), colour.map(ColourName::word));
-            let entry = best.entry(key).or_insert(Entry { name, colour, weight });
-            entry.weight = entry.weight.max(weight);
+            for &colour in &colours {
+                let key = (name.clone(), colour.map(ColourName::word));
+                let entry = best.entry(key).or_insert(Entry { name: name.clone(), colour, weight });
+                entry.weight = entry.weight.max(weight);
+            }
         }
     }
     best.into_values().collect()
@@ -60,10 +64,13 @@ fn names_of(instance: &Instance) -> Vec<(String, f32)> {
     guesses.map(|guess| (guess.name.to_lowercase(), believed * guess.score)).collect()
 }
 
-fn colour_of(instance: &Instance) -> Option<ColourName> {
-    let fits = ColourName::ALL.iter().map(|colour| (colour_fit(*colour, instance), *colour));
-    let best = fits.reduce(|best, next| if next.0 > best.0 { next } else { best });
-    best.filter(|(fit, _)| *fit >= LEAST_COLOUR).map(|(_, colour)| colour)
+/// Its colours; at least one entry, which may be none.
+fn colours_of(instance: &Instance) -> Vec<Option<ColourName>> {
+    let fits = ColourName::ALL.map(|colour| colour_fit(colour, instance));
+    let least = LEAST_COLOUR.max(OF_THE_BEST * fits.into_iter().fold(0.0, f32::max));
+    let described = ColourName::ALL.into_iter().zip(fits).filter(|(_, fit)| *fit >= least);
+    let colours: Vec<_> = described.map(|(colour, _)| Some(colour)).collect();
+    if colours.is_empty() { vec![None] } else { colours }
 }
 
 /// What a question asks a room for: its thing, and what that stands beside.
