@@ -2483,6 +2483,8 @@ export interface components {
              * @description How many scenes were looked into.
              */
             looked_into: number;
+            /** @description More than 1,000 scenes were meant: those were looked into that most likely have it, by what their things are called. */
+            narrowed?: boolean;
             /** @description Scenes that could not be asked, and why: those that are not parsed yet, for the most part. */
             not_asked: components["schemas"]["NotAsked"][];
             /** @description As asked. */

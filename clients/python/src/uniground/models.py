@@ -1177,6 +1177,8 @@ class ManyAnswers:
     """Best first: what is grounded before what is ambiguous, uncertain, or not there; then by confidence."""
     not_asked: list[NotAsked]
     """Scenes that could not be asked, and why: those that are not parsed yet, for the most part."""
+    narrowed: Optional[bool] = None
+    """More than 1,000 scenes were meant: those were looked into that most likely have it, by what their things are called."""
 
 
 class ManyGroundOptions(TypedDict, total=False):
