@@ -3,6 +3,11 @@
 use super::Service;
 use crate::error::Error;
 use crate::store::Turn;
+use std::time::Duration;
+use tokio::time::timeout;
+
+/// How long somebody waits for the turn at an upload before he is told that another is at it.
+const MOMENT: Duration = Duration::from_secs(1);
 
 impl Service {
     /// Held while a scene starts or ceases to refer to its content, so that content is not removed under a new scene.
@@ -36,8 +41,9 @@ impl Service {
     /// # Errors
     /// [`Error::UploadBusy`]: somebody else is at it.
     pub(super) async fn at_upload(&self, id: &str) -> Result<Turn, Error> {
-        let turn = self.store.try_turn(&format!("upload {id}")).await?;
-        turn.ok_or_else(|| Error::UploadBusy { id: id.to_owned() })
+        // Who was at it a moment ago has had its reply, and may still be letting go.
+        let turn = timeout(MOMENT, self.store.turn(&format!("upload {id}"))).await;
+        Ok(turn.map_err(|_| Error::UploadBusy { id: id.to_owned() })??)
     }
 
     /// At looking after everything; `None` while another process does.

@@ -19,6 +19,7 @@ use std::sync::{Arc, PoisonError, RwLock, Weak};
 use std::time::{Duration, Instant};
 use tokio::sync::Mutex;
 use tokio::time::{sleep, timeout};
+use tokio_util::sync::CancellationToken;
 use uuid::Uuid;
 
 /// What processes before may still need to be gone, for one that wants to be alone;
@@ -75,8 +76,8 @@ struct Session {
 
 /// A turn at something: nobody else, in this process or another, has it as long as this lives.
 pub struct Turn {
-    /// Within this process. Nobody here has it before the others could: it is let go once the database's lock is.
-    local: Option<LocalTurn>,
+    /// Within this process, where there is no other.
+    _local: Option<LocalTurn>,
     shared: Option<SharedTurn>,
 }
 
@@ -89,10 +90,13 @@ impl Turn {
     }
 }
 
+/// A lock of the database's. It goes when this does, also where whoever wanted it has left before he could be told.
 struct SharedTurn {
     session: Session,
     key: i64,
     number: u64,
+    /// Within this process. Nobody here has it before the others could: it is let go once the lock is.
+    local: Option<LocalTurn>,
 }
 
 /// The number of no connection: this member has left.
@@ -184,11 +188,9 @@ impl Membership {
     /// What the database says.
     pub async fn turn(&self, name: &str) -> Result<Turn, StoreError> {
         let local = self.turns.at(name).await;
-        let shared = match &self.session {
-            Some(session) => session.clone().take(key_of(name), Waiting::AsLongAsItTakes).await?,
-            None => None,
-        };
-        Ok(Turn { local: Some(local), shared })
+        let Some(session) = &self.session else { return Ok(Turn { _local: Some(local), shared: None }) };
+        let shared = session.clone().take(key_of(name), Waiting::AsLongAsItTakes).await?;
+        Ok(Turn { _local: None, shared: shared.map(|shared| shared.with(local)) })
     }
 
     /// The turn at something, by its name, if nobody has it.
@@ -197,9 +199,9 @@ impl Membership {
     /// What the database says.
     pub async fn try_turn(&self, name: &str) -> Result<Option<Turn>, StoreError> {
         let Some(local) = self.turns.try_at(name) else { return Ok(None) };
-        let Some(session) = &self.session else { return Ok(Some(Turn { local: Some(local), shared: None })) };
+        let Some(session) = &self.session else { return Ok(Some(Turn { _local: Some(local), shared: None })) };
         let shared = session.clone().take(key_of(name), Waiting::NotAtAll).await?;
-        Ok(shared.map(|shared| Turn { local: Some(local), shared: Some(shared) }))
+        Ok(shared.map(|shared| Turn { _local: None, shared: Some(shared.with(local)) }))
     }
 
     /// Leaves: what it was at work on is others' at once.
@@ -319,14 +321,16 @@ enum Waiting {
 impl Session {
     /// A lock of the database's. In a task of its own: a caller that leaves in the middle leaves no connection in the middle.
     async fn take(self, key: i64, waiting: Waiting) -> Result<Option<SharedTurn>, StoreError> {
+        let wanted = CancellationToken::new();
+        let _wants = wanted.clone().drop_guard();
         let taking = tokio::spawn(async move {
             let mut wait = Duration::from_millis(5);
             loop {
                 let (taken, number) = self.lock(key).await?;
                 if taken {
-                    return Ok(Some(SharedTurn { session: self, key, number }));
+                    return Ok(Some(SharedTurn { session: self, key, number, local: None }));
                 }
-                if matches!(waiting, Waiting::NotAtAll) {
+                if matches!(waiting, Waiting::NotAtAll) || wanted.is_cancelled() {
                     return Ok(None);
                 }
                 sleep(wait).await;
@@ -358,22 +362,23 @@ impl Session {
 }
 
 impl SharedTurn {
-    async fn let_go(self) {
-        let mut held = self.session.held.lock().await;
-        if self.session.number.load(Relaxed) == self.number {
-            let _ = self.session.call(&mut held, "pg_advisory_unlock", self.key).await;
-        }
+    fn with(mut self, local: LocalTurn) -> Self {
+        self.local = Some(local);
+        self
     }
 }
 
-impl Drop for Turn {
+impl Drop for SharedTurn {
     fn drop(&mut self) {
-        let Some(shared) = self.shared.take() else { return };
-        let local = self.local.take();
+        let (session, key, number, local) = (self.session.clone(), self.key, self.number, self.local.take());
         // Where the process ends, so does the session.
         let Ok(runtime) = tokio::runtime::Handle::try_current() else { return };
         runtime.spawn(async move {
-            shared.let_go().await;
+            let mut held = session.held.lock().await;
+            if session.number.load(Relaxed) == number {
+                let _ = session.call(&mut held, "pg_advisory_unlock", key).await;
+            }
+            drop(held);
             drop(local);
         });
     }

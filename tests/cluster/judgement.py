@@ -3,7 +3,8 @@
 When is a question paid for twice? Each call of the model is written down by the model itself, with the process that made it. A question whose answer is
 kept must never be asked about again. Before that, a call may be made again where the process that made it was killed, or stood still for longer than
 its lease, while the call was under way or its answer not yet in the database: nobody has a transaction with a model. Each such call excuses one
-more. Anything else is paid twice; told apart is what a process begins that stood still past its lease and goes on as if nothing had happened.
+more. Anything else is paid twice; told apart is what a process begins that stood still past its lease and goes on as if nothing had happened: one that
+takes the job again, as it may once it has found itself forgotten, does not.
 """
 import collections
 import json
@@ -24,17 +25,25 @@ KILLED, STOPPED = "killed", "stopped"
 LATE, KEPT, NOTHING = "late", "kept", "nothing"
 
 
-def repeated_calls(calls, disturbances, kept_at, lease_s):
-    """Calls made again, by why: KILLED and STOPPED are excused, LATE and those after the answer was KEPT and for NOTHING are not."""
+def repeated_calls(calls, disturbances, kept_at, lease_s, claims=(), batch_of=lambda question: None):
+    """Calls made again, by why: KILLED and STOPPED are excused, LATE and those after the answer was KEPT and for NOTHING are not. `claims` are batches, each
+    with the moment at which somebody took it up."""
     by_question, told = collections.defaultdict(list), collections.defaultdict(list)
     for call in sorted(calls, key=lambda call: call.arrived):
         by_question[call.question, call.turn].append(call)
     paused = [one for one in disturbances if one.how == STOPPED and one.until - one.at >= lease_s]
     killed = [one for one in disturbances if one.how == KILLED]
+    def has_taken_it_again(call, woke_at):
+        """Whether the batch was taken up since then, and its questions are asked by this process."""
+        batch = batch_of(call.question)
+        since = max((at for of, at in claims if of == batch and woke_at <= at <= call.arrived), default=None)
+        return since is not None and all(other.life == call.life for other in calls if since < other.arrived <= call.arrived and batch_of(other.question) == batch)
+
     for (question, _), made in by_question.items():
         kept, reasons = kept_at.get(question, float("inf")), []
         for at, call in enumerate(made):
-            is_late = any(one.who == call.life and one.until <= call.arrived < one.until + AWAKE_S for one in paused)
+            is_late = any(one.who == call.life and one.until <= call.arrived < one.until + AWAKE_S and not has_taken_it_again(call, one.until)
+                          for one in paused)
             if at and is_late:
                 told[LATE].append(call)
                 continue
@@ -61,13 +70,16 @@ def storm(table, fleet, database, crowd, model, items):
                database.rows("SELECT change AS query, min(extract(epoch FROM at)) AS at FROM witness WHERE what = 'answer' GROUP BY change")}
     asked = {item["query"] for batch in items for item in batch}
     calls = [call for call in model.calls if call.question in asked]
-    told = repeated_calls(calls, fleet.disturbances, kept_at, fleet.lease_s)
+    claims = [(row["subject"], float(row["at"])) for row in
+              database.rows("SELECT subject, extract(epoch FROM at) AS at FROM witness JOIN jobs USING (id) WHERE what = 'job' AND change = 'queued running'")]
+    batch_of = {item["query"]: crowd.batches[number] for number, batch in enumerate(items) for item in batch}
+    told = repeated_calls(calls, fleet.disturbances, kept_at, fleet.lease_s, claims, batch_of.get)
     table.row("calls of the model", f"{len(calls)} for {len(asked)} questions", "one each or more", len({call.question for call in calls}) == len(asked))
     table.row("made again: under way when their process was killed", len(told[KILLED]), "told only")
     table.row("made again: under way when it stood still past its lease", len(told[STOPPED]), "told only")
     for why, what in ((LATE, "made again: begun by a process that had lost its lease, or because of that"), (KEPT, "made again after the answer was kept"),
                       (NOTHING, "made again for no reason")):
-        # One that stood still may send once more what it had begun to ask, before it knows that it was forgotten.
+        # One that stood still may send once more what it had begun to ask, in the moment before it knows that it was forgotten.
         most = sum(one.how == STOPPED for one in fleet.disturbances) if why == LATE else 0
         table.row(what, len(told[why]), f"at most {most}" if most else "0", len(told[why]) <= most)
         for call in told[why][:3]:

@@ -27,17 +27,25 @@ STORIES = {
     "awake, and asks what another is about to ask": ([("worker-1.0", 15.1), ("worker-2.0", 18)], [PAUSE], 20, {LATE: 1}),
     "still under a call, awake, and once more": ([("worker-1.0", 0), ("worker-1.0", 15.1), ("worker-2.0", 18)], [PAUSE], 20, {LATE: 1, STOPPED: 1}),
 }
+# The same, where the batch was taken up at this moment.
+TAKEN_UP = {
+    "awake, takes the job again, and asks once more": ([("worker-1.0", 0), ("worker-1.0", 15.3)], [PAUSE], 20, 15.2, {STOPPED: 1}),
+    "awake, while another takes it up and asks": ([("worker-1.0", 0), ("worker-2.0", 15.3), ("worker-1.0", 15.4)], [PAUSE], 20, 15.2, {LATE: 1, STOPPED: 1}),
+    "awake, when another has had it for long": ([("worker-1.0", 0), ("worker-1.0", 15.3)], [PAUSE], 20, 12.0, {LATE: 1}),
+}
 
 
 def main():
-    wrong = 0
-    for story, (calls, disturbances, kept, wanted) in STORIES.items():
+    wrong, stories = 0, {story: (*told[:3], [], told[3]) for story, told in STORIES.items()}
+    stories |= {story: (*told[:3], [("batch", told[3])], told[4]) for story, told in TAKEN_UP.items()}
+    for story, (calls, disturbances, kept, claims, wanted) in stories.items():
         made = [Call("which chair", 1, who, at, 0.0) for who, at in calls]
-        found = {why: len(calls) for why, calls in repeated_calls(made, disturbances, {"which chair": kept}, 10).items() if calls}
+        told = repeated_calls(made, disturbances, {"which chair": kept}, 10, claims, lambda _: "batch")
+        found = {why: len(calls) for why, calls in told.items() if calls}
         if found != wanted:
             print(f"{story}: {found}, not {wanted}")
             wrong += 1
-    print(f"{len(STORIES) - wrong} passed, {wrong} failed")
+    print(f"{len(stories) - wrong} passed, {wrong} failed")
     sys.exit(bool(wrong))
 
 

@@ -1,10 +1,13 @@
 //! Questions about many scenes, and labels to choose among them.
 
 use crate::archives::{EIGHTHS, Scan, THINGS};
-use crate::server::{TestServer, problem};
+use crate::server::{TestServer, config, problem};
+use camino::Utf8Path;
 use reqwest::{Method, StatusCode};
 use std::time::Duration;
 use tokio::time::sleep;
+use uniground::app;
+use uniground::config::Vectors;
 use uniground_client::Client;
 use uniground_core::grounding::Status;
 use uniground_types::corrections::Change;
@@ -140,4 +143,16 @@ async fn what_can_not_be_asked_is_named() {
     let nowhere = client.ground_many(&asked()).await.unwrap();
     assert_eq!((nowhere.looked_into, nowhere.answers.len()), (0, 0));
     server.stop().await;
+}
+
+#[tokio::test]
+async fn vectors_want_a_database_that_can_keep_them() {
+    let data = tempfile::tempdir().unwrap();
+    let mut config = config(Utf8Path::from_path(data.path()).unwrap());
+    config.database.vectors = Vectors::Pgvector;
+    let told = format!("{:#}", app::start(&config).await.err().unwrap());
+    assert!(
+        told.contains("--vectors pgvector") && (told.contains("SQLite") || told.contains("CREATE EXTENSION")),
+        "{told}"
+    );
 }

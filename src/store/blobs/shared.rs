@@ -421,9 +421,8 @@ mod tests {
     #[tokio::test]
     async fn a_folder_that_was_taken_away_is_put_back_unless_there_is_another() {
         let site = Site::of(2, u64::MAX, DAY).await;
-        let (one, other) = (site.machines[0].1.clone(), site.machines[1].1.clone());
+        let [one, other] = [0, 1].map(|at| site.machines[at].1.clone());
         site.on(0, |blobs| publish(&blobs, &blobs.content("c")).unwrap()).await;
-        // This one has no copy of it.
         let taken = other.set_aside(vec![other.content("c")]).await.unwrap().remove(0);
         other.put_back(taken, other.content("c")).await.unwrap();
         assert_eq!(site.on(1, |blobs| all_of(&blobs, &blobs.content("c"))).await.len(), FILES.len());
