@@ -4,9 +4,9 @@
     apt-get install wordnet-base
     scripts/wordnet.py /usr/share/wordnet crates/uniground-core/src/models/attributes/wordnet.tsv
 
-The first lines are kinds of things, parents before children: the number of the line of the broader kind (empty for a root), then its
-words. The last line, after an empty one, has other English words: what stands there is no misspelling. WordNet 3.0's licence stands
-beside the table.
+The first lines are kinds of things, parents before children: the number of the line of the broader kind (empty for a root), how often
+WordNet's tagged texts speak of it (empty where they never do), then its words. The last line, after an empty one, has other English words:
+what stands there is no misspelling. WordNet 3.0's licence stands beside the table.
 """
 
 import sys
@@ -32,7 +32,7 @@ with within without would yes yet you your yours yourself
 
 
 def senses(folder, part):
-    """Synsets of a part of speech by offset: lexicographer file, words, offsets of broader ones."""
+    """Synsets of a part of speech by offset: lexicographer file, words, their numbers in that file, offsets of broader ones."""
     found = {}
     for line in (folder / f"data.{part}").read_text().splitlines():
         if line.startswith(" "):
@@ -40,10 +40,11 @@ def senses(folder, part):
         fields = line.split(" | ")[0].split()
         offset, file, count = fields[0], int(fields[1]), int(fields[3], 16)
         words = [w.split("(")[0].lower().replace("_", " ").replace("-", " ").replace("'", "") for w in fields[4 : 4 + 2 * count : 2]]
+        numbers = [int(number, 16) for number in fields[5 : 5 + 2 * count : 2]]
         rest = fields[4 + 2 * count + 1 :]
         # Pointers: symbol, offset, part of speech, source and target.
         broader = [rest[i + 1] for i in range(0, len(rest) - 3, 4) if rest[i] == "@"]
-        found[offset] = (file, words, broader)
+        found[offset] = (file, words, numbers, broader)
     return found
 
 
@@ -54,9 +55,11 @@ def main():
     for line in (folder / "cntlist.rev").read_text().splitlines():
         sense, _, count = line.split()
         lemma, rest = sense.split("%")
-        kind, file, _ = rest.split(":", 2)
+        kind, file, number, _ = rest.split(":", 3)
         if kind == "1":
-            tagged[(lemma.replace("_", " ").replace("-", " "), int(file))] = int(count)
+            word = lemma.replace("_", " ").replace("-", " ").replace("'", "")
+            tagged[(word, int(file), int(number))] = int(count)
+    occurring = {(word, file) for word, file, _ in tagged}
     # The senses of a word in the order of use, things only; the two most used are kept.
     kept, of_word = set(), {}
     for line in (folder / "index.noun").read_text().splitlines():
@@ -66,31 +69,33 @@ def main():
         word = fields[0].replace("_", " ").replace("-", " ").replace("'", "")
         offsets = fields[-int(fields[2]) :]
         for offset in offsets:
-            file, _, _ = nouns[offset]
-            occurs = file in OCCURRING and (word, file) in tagged
+            file = nouns[offset][0]
+            occurs = file in OCCURRING and (word, file) in occurring
             if (file in THINGS or occurs) and len(of_word.setdefault(word, [])) < 2 and len(word.split()) < 4:
                 of_word[word].append(offset)
                 kept.add(offset)
     for offset in list(kept):
-        while nouns[offset][2]:
-            offset = nouns[offset][2][0]
+        while nouns[offset][3]:
+            offset = nouns[offset][3][0]
             kept.add(offset)
     order, number = [], {}
 
     def place(offset):
         if offset in number:
             return
-        broader = nouns[offset][2][:1]
+        file, spoken, numbers, broader = nouns[offset]
+        broader = broader[:1]
         for parent in broader:
             place(parent)
         number[offset] = len(order)
         parent = str(number[broader[0]]) if broader else ""
         words = []
-        for word in nouns[offset][1]:
+        for word in spoken:
             if offset in of_word.get(word, []):
                 # The most used sense of a word is marked.
                 words.append(word if of_word[word][0] == offset else "~" + word)
-        order.append(parent + "\t" + ",".join(dict.fromkeys(words)))
+        times = sum(tagged.get((word, file, number), 0) for word, number in zip(spoken, numbers))
+        order.append(f"{parent}\t{times or ''}\t" + ",".join(dict.fromkeys(words)))
 
     for offset in sorted(kept):
         place(offset)

@@ -4,7 +4,8 @@ pub use crate::placement::{FrameChoice, Observer};
 use crate::problem::FieldError;
 use serde::{Deserialize, Serialize};
 
-/// `min_confidence` where the request leaves it out: more likely right than not.
+/// `min_confidence` where the request leaves it out: four of five grounded answers are right where things were named by somebody who looked
+/// (docs/EVALUATION.md).
 pub const DEFAULT_MIN_CONFIDENCE: f32 = 0.5;
 
 const MAX_QUERY_CHARS: usize = 2000;
@@ -237,8 +238,8 @@ pub struct GroundRequest {
     /// Where the encoder fails, or is not the one the scene was parsed with, answer by names and measures; the answer is marked `degraded`.
     #[serde(default)]
     pub allow_builtin: bool,
-    /// Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, more likely right than
-    /// not. 0: nothing is uncertain.
+    /// Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, where four of five are
+    /// right of what somebody named who looked, two of three of what only measures name. 0: nothing is uncertain.
     #[cfg_attr(feature = "openapi", schema(minimum = 0, maximum = 1))]
     pub min_confidence: Option<f32>,
     /// Optional parts to send back; all when left out.

@@ -11,7 +11,8 @@ use super::SceneView;
 use super::direction::Directions;
 use super::fit::{colours_fit, most_plausible, noun_fits, trait_fits};
 use super::query::{ME, Meaning, Phrase, Relation, RelationKind, zones};
-use super::relations::{self, Room, SeenBy};
+use super::relations::{self, SeenBy};
+use super::room::{Faced, Room};
 use super::solid::Solid;
 use crate::geometry::boxes::OrientedBox;
 use crate::geometry::statistics::largest;
@@ -39,6 +40,10 @@ const CARRIED: f32 = 0.25;
 /// What is left of a score when the other thing of a relation was not found: it may be there all the same.
 const NOT_FOUND: f32 = 0.3;
 
+/// What stands on another or in it to this degree touches it; in an order by distance it comes after all that is apart, metres.
+const MOSTLY_HELD: f32 = 0.5;
+const HELD_M: f32 = 1e3;
+
 /// Share that "on the wall" keeps for what stands in front of it.
 const AT_THE_WALL: f32 = 0.3;
 
@@ -60,6 +65,8 @@ pub struct Assessment {
     pub own: Vec<f32>,
     /// For each relation of the phrase, the best anchors of every instance.
     pub bonds: Vec<Vec<Bond>>,
+    /// Whose left and right the place among its like was told by; empty where none is asked for.
+    pub place_seen_by: Vec<SeenBy>,
     pub total: Vec<f32>,
 }
 
@@ -73,8 +80,8 @@ pub struct Assessor<'a> {
     /// Index of what somebody looks at: of things to the left and right, those near it are meant.
     pub looked_at: Option<usize>,
     room: OnceCell<Room>,
-    /// Of every instance, its own front: it takes a look at all walls, and is asked for with every other instance.
-    fronts: Vec<OnceCell<Option<Vector3<f32>>>>,
+    /// How somebody looks who faces an instance: it takes a look at all walls, and is asked for with every other instance.
+    faced: Vec<OnceCell<Faced>>,
 }
 
 impl<'a> Assessor<'a> {
@@ -87,7 +94,7 @@ impl<'a> Assessor<'a> {
             observer: None,
             looked_at: None,
             room: OnceCell::new(),
-            fronts: vec![OnceCell::new(); scene.instances.len()],
+            faced: vec![OnceCell::new(); scene.instances.len()],
         }
     }
 
@@ -126,10 +133,10 @@ impl<'a> Assessor<'a> {
                 .zip(&bonds[i])
                 .for_each(|(score, bond)| *score *= least + (1.0 - least) * bond.score);
         }
-        if let Some(superlative) = phrase.superlative {
-            self.apply_superlative(superlative, &mut total);
-        }
-        Assessment { nouns, own, bonds, total }
+        let place_seen_by = phrase
+            .superlative
+            .map_or_else(Vec::new, |superlative| self.apply_superlative(superlative, &mut total));
+        Assessment { nouns, own, bonds, place_seen_by, total }
     }
 
     /// Fit of every instance to the noun alone, and to noun, colours, traits and carried things together.
@@ -156,16 +163,18 @@ impl<'a> Assessor<'a> {
     /// The index of what a phrase most likely means.
     #[must_use]
     pub fn best(&self, phrase: &Phrase) -> Option<usize> {
-        self.likely(phrase, 1).first().copied()
+        self.likely(phrase, 1).first().map(|&(index, _)| index)
     }
 
-    /// Indices of what a phrase may mean, at most so many, best first: none that fits less than half as well as the best.
+    /// Indices of what a phrase may mean, and how well each fits against the best, at most so many, best first: none that fits less than
+    /// half as well.
     #[must_use]
-    pub fn likely(&self, phrase: &Phrase, most: usize) -> Vec<usize> {
+    pub fn likely(&self, phrase: &Phrase, most: usize) -> Vec<(usize, f32)> {
         let total = self.assess(phrase).total;
         let best = largest(&total, most);
-        let least = best.first().map_or(0.0, |&i| MAY_BE_MEANT * total[i]);
-        best.into_iter().filter(|&i| total[i] > 0.0 && total[i] >= least).collect()
+        let of_best = best.first().map_or(1.0, |&i| total[i].max(f32::EPSILON));
+        let shares = best.into_iter().map(|i| (i, total[i] / of_best));
+        shares.filter(|&(i, share)| total[i] > 0.0 && share >= MAY_BE_MEANT).collect()
     }
 
     /// The middle of all that a phrase's own words may mean; metres.
@@ -199,8 +208,8 @@ impl<'a> Assessor<'a> {
     #[must_use]
     pub fn at_side(&self, kind: RelationKind, target: usize, anchor: usize) -> (f32, SeenBy) {
         let (target, of) = (&self.solids[target], &self.solids[anchor]);
-        let front = || *self.fronts[anchor].get_or_init(|| relations::own_front(of, self.room()));
-        relations::at_side(kind, target, of, &self.directions, self.room(), front)
+        let faced = || *self.faced[anchor].get_or_init(|| self.room().faced(of));
+        relations::at_side(kind, target, of, &self.directions, faced)
     }
 
     /// For every instance as target: its best anchors and how well the relation holds.
@@ -281,7 +290,11 @@ impl<'a> Assessor<'a> {
             return vec![Bond { score: 1.0, anchor: None }; fits.len()];
         }
         let within = |t: usize| {
-            let to = |&(i, fit): &(usize, f32)| fit * relations::reaching(&self.solids[t], &self.solids[i], REACH_M);
+            let to = |&(i, fit): &(usize, f32)| {
+                let reaching = fit * relations::reaching(&self.solids[t], &self.solids[i], REACH_M);
+                // What stands behind the wall is in another room.
+                if reaching > FOUND && self.room().apart_by_a_wall(&self.solids[t], &self.solids[i]) { FOUND * fit } else { reaching }
+            };
             things.iter().map(to).fold(0.0, f32::max)
         };
         (0..fits.len())
@@ -343,14 +356,21 @@ impl<'a> Assessor<'a> {
             .filter_map(|c| c.iter().max_by(|a, b| a.1.total_cmp(&b.1).then(b.0.cmp(&a.0))))
             .map(|c| c.0)
             .collect();
-        let apart = |t: usize, a: usize| relations::apart(&self.solids[t], &self.solids[a], self.scene.instances[a].structure.is_some());
+        let of_the_building = |a: usize| self.scene.instances[a].structure.is_some();
+        let apart = |t: usize, a: usize| relations::apart(&self.solids[t], &self.solids[a], of_the_building(a), self.room());
+        // What the anchor carries touches it: only where all of them do is one of them the closest.
+        let held = |t: usize, a: usize| {
+            relation.kind == RelationKind::Closest
+                && !of_the_building(a)
+                && relations::holds(&self.solids[a], &self.solids[t]) > MOSTLY_HELD
+        };
         let mut bonds = vec![NO_BOND; fits.len()];
         for &(a, anchor_fit) in first {
             let mut order: Vec<(f32, usize)> = rivals
                 .iter()
                 .map(|&(t, _)| t)
                 .filter(|&t| t != a && !likeliest.contains(&t))
-                .map(|t| (apart(t, a) + likeliest.iter().map(|&b| apart(t, b)).sum::<f32>(), t))
+                .map(|t| (if held(t, a) { HELD_M } else { 0.0 } + apart(t, a) + likeliest.iter().map(|&b| apart(t, b)).sum::<f32>(), t))
                 .collect();
             for (t, factor) in ranked(relation, &mut order, fits) {
                 bonds[t] = better(bonds[t], Bond { score: anchor_fit.sqrt() * factor, anchor: Some(self.id(a)) });
@@ -363,7 +383,7 @@ impl<'a> Assessor<'a> {
     fn to_observer(&self, relation: &Relation, observer: &Solid, fits: &[f32]) -> Vec<Bond> {
         let mut scores = vec![0.0; fits.len()];
         if relation.kind.is_comparison() {
-            let apart = |t: usize| relations::apart(&self.solids[t], observer, false);
+            let apart = |t: usize| relations::apart(&self.solids[t], observer, false, self.room());
             let mut order: Vec<(f32, usize)> = most_plausible(fits, usize::MAX).into_iter().map(|(t, _)| (apart(t), t)).collect();
             ranked(relation, &mut order, fits).into_iter().for_each(|(t, factor)| scores[t] = factor);
         } else {

@@ -2,7 +2,7 @@
 
 use super::query::Look;
 use super::solid::Solid;
-use crate::geometry::{Point3, Vector2, Vector3};
+use crate::geometry::{Point3, Vector3};
 pub use uniground_types::question::{DirectionConvention, Observer};
 
 /// The horizontal directions a query's words are read in.
@@ -14,13 +14,15 @@ pub struct Directions {
     pub front: Vector3<f32>,
     /// Whether this is somebody's view (an observer's, or told by the question) and not a convention.
     pub of_somebody: bool,
+    /// Whether nobody chose them: what people see from where they would stand comes first.
+    pub by_default: bool,
 }
 
 impl From<DirectionConvention> for Directions {
     fn from(convention: DirectionConvention) -> Self {
         match convention {
-            DirectionConvention::Paper => Self { right: -Vector3::x(), front: -Vector3::y(), of_somebody: false },
-            DirectionConvention::Viewer => Self { right: Vector3::x(), front: -Vector3::y(), of_somebody: false },
+            DirectionConvention::Paper => Self { right: -Vector3::x(), front: -Vector3::y(), of_somebody: false, by_default: true },
+            DirectionConvention::Viewer => Self { right: Vector3::x(), front: -Vector3::y(), of_somebody: false, by_default: false },
         }
     }
 }
@@ -30,14 +32,14 @@ impl Directions {
     #[must_use]
     pub fn looking_along(forward: Vector3<f32>) -> Option<Self> {
         let forward = Vector3::new(forward.x, forward.y, 0.0).try_normalize(1e-3)?;
-        Some(Self { right: forward.cross(&Vector3::z()), front: -forward, of_somebody: true })
+        Some(Self { right: forward.cross(&Vector3::z()), front: -forward, of_somebody: true, by_default: false })
     }
 
     /// As seen by an observer; only the yaw counts, not where the observer stands.
     #[must_use]
     pub fn of_observer(observer: &Observer) -> Self {
         let forward = Vector3::new(observer.yaw_rad.cos(), observer.yaw_rad.sin(), 0.0);
-        Self { right: forward.cross(&Vector3::z()), front: -forward, of_somebody: true }
+        Self { right: forward.cross(&Vector3::z()), front: -forward, of_somebody: true, by_default: false }
     }
 
     /// As seen by a person in the room who looks as the words say. Things that are longer than deep are faced squarely: a window
@@ -60,7 +62,7 @@ fn squarely(anchor: &Solid, towards: &Vector3<f32>) -> Option<Vector3<f32>> {
     if long < LONGER_THAN_DEEP * short {
         return None;
     }
-    let along = if anchor.size[0] >= anchor.size[1] { anchor.axis } else { Vector2::new(-anchor.axis.y, anchor.axis.x) };
+    let along = anchor.along();
     let across = Vector3::new(-along.y, along.x, 0.0);
     let towards = Vector3::new(towards.x, towards.y, 0.0).try_normalize(1e-3)?;
     let square = across.dot(&towards);

@@ -25,6 +25,8 @@ const ANYTHING: f32 = 0.8;
 const LIKELY: f32 = 0.35;
 /// What the fit of the others counts where something is called by the noun.
 const NOT_CALLED_SO: f32 = 0.85;
+/// A fit of something that is called by the noun itself.
+const CALLED_SO: f32 = 0.95;
 /// Smaller things are seldom meant by "thing", metres.
 const NOTABLE_M: f32 = 0.1;
 /// A colour that is not there at all leaves this: the scan's light may be odd.
@@ -38,10 +40,13 @@ const OPPOSITE_TRAIT: f32 = 0.3;
 #[must_use]
 pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
     let readings = Readings::of(phrase);
-    let mut fits = vec![0.0_f32; scene.instances.len()];
+    let (mut fits, mut share) = (vec![0.0_f32; scene.instances.len()], 1.0);
     for Reading { weight, phrase, meaning } in readings.iter() {
         let read = fits_of_reading(scene, phrase, meaning);
-        fits.iter_mut().zip(read).for_each(|(best, fit)| *best = best.max(weight * fit));
+        let is_there = read.iter().any(|fit| *fit >= CALLED_SO);
+        fits.iter_mut().zip(read).for_each(|(best, fit)| *best = best.max(weight * share * fit));
+        // The room has what was said: it is seldom another thing that is meant.
+        share = if is_there { NOT_CALLED_SO } else { share };
     }
     one_per_place(scene.instances, &mut fits);
     let nouns: Vec<&Noun> = readings.iter().flat_map(Reading::nouns).copied().collect();

@@ -5,6 +5,8 @@ use crate::models::attributes::{Kinship, Lexicon, Noun, WordNet};
 
 /// A broader word ("seat" for a sofa) fits a little less than the thing's own name.
 const BROADER_WORD: f32 = 0.9;
+/// How much less a kind fits a broader word that is hardly ever met, against one that is met everywhere.
+const EXOTIC: f32 = 0.125;
 /// A thing that was given a broader name than the one asked for may be meant.
 const BROADER_NAME: f32 = 0.5;
 /// Another word for the name that was given.
@@ -12,13 +14,13 @@ const SYNONYM: f32 = 0.95;
 /// A thing that serves a use as others do; one that is named after the use has 1.
 const SERVES_ALIKE: f32 = 0.93;
 
-/// Weight of the `i`-th meaning of a phrase's noun: 1 for the thing of that name, less for things it is a broader word for. Things
-/// that serve a use weigh the same, except those named after it: tea is poured from a teapot.
+/// Weight of the `i`-th meaning of a phrase's noun: 1 for the thing of that name, less for things it is a broader word for, the less the more
+/// seldom they are met. Things that serve a use weigh the same, except those named after it: tea is poured from a teapot.
 pub(super) fn breadth(phrase: &Phrase, noun: &Noun, i: usize) -> f32 {
     let names = || std::iter::once(&noun.name).chain(&noun.synonyms).flat_map(|name| name.split(' '));
     match phrase.uses.is_empty() {
         true if i == 0 => 1.0,
-        true => BROADER_WORD,
+        true => BROADER_WORD * (1.0 - EXOTIC * (1.0 - noun.prior)),
         false if names().any(|word| phrase.purpose.iter().any(|said| said == word)) => 1.0,
         false => SERVES_ALIKE,
     }
@@ -62,7 +64,7 @@ fn kinship_fit(given: &str, asked: &str) -> f32 {
     }
     match WordNet::get().kinship(given, asked) {
         Some(Kinship::Same) => SYNONYM,
-        Some(Kinship::Narrower(steps)) => BROADER_WORD - 0.1 * steps as f32,
+        Some(Kinship::Narrower(steps)) => (BROADER_WORD - 0.1 * steps as f32) * WordNet::get().commonness(given),
         Some(Kinship::Broader(steps)) => BROADER_NAME - 0.1 * steps as f32,
         None => 0.0,
     }
@@ -79,6 +81,8 @@ mod tests {
             kind_fit(given, &phrase, &phrase.meaning())
         };
         assert!(fit("trash can", "dustbin") >= SYNONYM && fit("acoustic guitar", "musical instrument") > 0.5);
+        // Of kinds as near, what people speak of comes first.
+        assert!(fit("fedora", "hat") > 1.02 * fit("deerstalker", "hat"), "{}", fit("deerstalker", "hat"));
         for (given, asked) in [("high chair", "dining chair"), ("coffee table", "dining table"), ("washing machine", "fridge")] {
             assert_eq!(fit(given, asked), 0.0, "{given} {asked}");
         }

@@ -21,6 +21,7 @@ pub mod query;
 mod readings;
 pub mod reasoner;
 pub mod relations;
+pub mod room;
 pub mod room_index;
 mod scene_source;
 mod shortlist;

@@ -88,7 +88,8 @@ mod tests {
         let found = fits(&["radio", "kettle"], &asked);
         assert!(found[0] > 0.9 && found[1] == 0.0, "{found:?}");
         let found = fits(&["radio", "alarm clock"], &asked);
-        assert!(found[1] > found[0] && found[0] > 0.9, "{found:?}");
+        // What the room has by the first noun comes before what it has by another.
+        assert!(found[1] > 0.9 && (0.7..0.9).contains(&found[0]), "{found:?}");
         assert_eq!(fits(&["kettle"], &asked), [0.0]);
         let radio = GivenName::read("old radio").unwrap();
         assert_eq!(Readings::of(&asked).best_noun(&radio), "radio");

@@ -5,37 +5,9 @@
 
 use super::direction::Directions;
 use super::query::RelationKind;
+use super::room::{Faced, Room};
 use super::solid::Solid;
-use crate::geometry::{Vector2, Vector3};
-
-/// What relations to the room itself are measured against.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Room {
-    /// The smallest upright box around everything.
-    pub outline: Solid,
-    /// Boxes of the instances flagged as walls; may be empty.
-    pub walls: Vec<Solid>,
-    /// Pairs of walls that meet at an angle, by index.
-    corners: Vec<(usize, usize)>,
-}
-
-impl Room {
-    /// A room with this outline and these walls.
-    #[must_use]
-    pub fn new(outline: Solid, walls: Vec<Solid>) -> Self {
-        const MEET_M: f32 = 0.4;
-        const AT_AN_ANGLE: f32 = 0.5;
-        let meet = |a: &Solid, b: &Solid| along(a).perp(&along(b)).abs() > AT_AN_ANGLE && a.horizontal_gap(b) < MEET_M;
-        let pairs = (0..walls.len()).flat_map(|i| (i + 1..walls.len()).map(move |j| (i, j)));
-        let corners = pairs.filter(|&(i, j)| meet(&walls[i], &walls[j])).collect();
-        Self { outline, walls, corners }
-    }
-}
-
-/// The direction of the longer side.
-fn along(solid: &Solid) -> Vector2<f32> {
-    if solid.size[0] >= solid.size[1] { solid.axis } else { Vector2::new(-solid.axis.y, solid.axis.x) }
-}
+use crate::geometry::Vector3;
 
 /// Score of `target` standing in a relation to `anchors`; [`RelationKind::Between`] takes two, the room relations none, all others one.
 ///
@@ -44,10 +16,13 @@ fn along(solid: &Solid) -> Vector2<f32> {
 pub fn score(kind: RelationKind, target: &Solid, anchors: &[&Solid], directions: &Directions, room: &Room) -> f32 {
     match (kind, anchors) {
         (RelationKind::Between, [a, b]) => between(target, a, b),
-        (RelationKind::AgainstWall, _) => against_wall(target, room),
-        (RelationKind::InCorner, _) => in_corner(target, room),
-        (RelationKind::InMiddle, _) => in_middle(target, room),
-        (kind, [anchor, ..]) if kind.is_a_side() => at_side(kind, target, anchor, directions, room, || own_front(anchor, room)).0,
+        (RelationKind::AgainstWall, _) => room.against_wall(target),
+        (RelationKind::InCorner, _) => room.in_corner(target),
+        (RelationKind::InMiddle, _) => room.in_middle(target),
+        (kind, [anchor, ..]) if kind.is_a_side() => at_side(kind, target, anchor, directions, || room.faced(anchor)).0,
+        (RelationKind::Near | RelationKind::Around, [anchor, ..]) if room.apart_by_a_wall(target, anchor) => {
+            THROUGH_A_WALL * pairwise(kind, target, anchor)
+        }
         (_, [anchor, ..]) => pairwise(kind, target, anchor),
         (_, []) => 0.0,
     }
@@ -62,17 +37,10 @@ pub enum SeenBy {
     WhoFacesIt,
 }
 
-/// Score of `target` at a side of the anchor, and by whose view; `front` tells the anchor's own front (unit, horizontal), and is asked only
-/// where nobody's view is meant.
+/// Score of `target` at a side of the anchor, and by whose view; `faced` tells how somebody looks who faces the anchor, and is asked only where
+/// nobody's view is meant.
 #[must_use]
-pub fn at_side(
-    kind: RelationKind,
-    target: &Solid,
-    anchor: &Solid,
-    directions: &Directions,
-    room: &Room,
-    front: impl Fn() -> Option<Vector3<f32>>,
-) -> (f32, SeenBy) {
+pub fn at_side(kind: RelationKind, target: &Solid, anchor: &Solid, directions: &Directions, faced: impl Fn() -> Faced) -> (f32, SeenBy) {
     let side = |directions: &Directions| match kind {
         RelationKind::LeftOf => -directions.right,
         RelationKind::RightOf => directions.right,
@@ -83,14 +51,12 @@ pub fn at_side(
     if directions.of_somebody {
         return (viewed, SeenBy::Directions);
     }
-    // What stands against a wall has a front of its own. In the open, nobody tells from where: people look from the middle of the room.
-    let own = front();
-    let ahead = own.map(|front| -front).or_else(|| horizontal_between(&room.outline, anchor));
+    let Faced { ahead, has_a_front } = faced();
     let faced = ahead
         .and_then(Directions::looking_along)
         .map_or(0.0, |directions| beside(target, anchor, &side(&directions)));
     let (viewed, faced) = match kind {
-        RelationKind::InFrontOf | RelationKind::Behind if own.is_some() => (AGAINST_OWN_FRONT * viewed, faced),
+        RelationKind::InFrontOf | RelationKind::Behind if has_a_front => (AGAINST_OWN_FRONT * viewed, faced),
         _ => (viewed, FROM_THE_MIDDLE * faced),
     };
     if faced > viewed { (faced, SeenBy::WhoFacesIt) } else { (viewed, SeenBy::Directions) }
@@ -106,15 +72,32 @@ pub fn to_observer(kind: RelationKind, target: &Solid, observer: &Solid, directi
     }
 }
 
+/// How near two things are as people mean it: by the gap between their surfaces and by their middles on the ground plan. What stands on a
+/// thing or in it is hardly meant by "next to" it.
+#[must_use]
+pub fn close(a: &Solid, b: &Solid) -> f32 {
+    const BY_MIDDLES: f32 = 0.5;
+    const NOT_BESIDE: f32 = 0.3;
+    let by_middles = fade((a.center - b.center).xy().norm(), 0.6 + f32::midpoint(a.diagonal(), b.diagonal()));
+    let held = holds(a, b).max(holds(b, a));
+    near(a, b) * (1.0 - BY_MIDDLES + BY_MIDDLES * by_middles) * (1.0 - NOT_BESIDE * held)
+}
+
+/// Whether a thing stands on another, or in it, `0..=1`.
+#[must_use]
+pub fn holds(holder: &Solid, held: &Solid) -> f32 {
+    on(held, holder).max(inside(held, holder))
+}
+
 fn pairwise(kind: RelationKind, target: &Solid, anchor: &Solid) -> f32 {
     match kind {
-        RelationKind::Near | RelationKind::Closest | RelationKind::Between => near(target, anchor),
-        RelationKind::Far | RelationKind::Farthest => 1.0 - near(target, anchor),
+        RelationKind::Near | RelationKind::Closest | RelationKind::Between => close(target, anchor),
+        RelationKind::Far | RelationKind::Farthest => 1.0 - close(target, anchor),
         RelationKind::Around => around(target, anchor),
         RelationKind::Above => above(target, anchor),
         RelationKind::Below => above(anchor, target),
         RelationKind::On => on(target, anchor),
-        RelationKind::Carrying => on(anchor, target).max(inside(anchor, target)),
+        RelationKind::Carrying => holds(target, anchor),
         RelationKind::Inside => inside(target, anchor).max(0.8 * on(target, anchor)),
         RelationKind::Opposite => opposite(target, anchor),
         RelationKind::Facing => facing(target, anchor),
@@ -134,42 +117,25 @@ const FROM_THE_MIDDLE: f32 = 0.85;
 /// What the convention's front counts where the thing has a front of its own.
 const AGAINST_OWN_FRONT: f32 = 0.5;
 
-/// Away from the wall a thing stands against, a side of the room or a wall within; `None` in the open and, unless the thing is long, in corners.
-#[must_use]
-pub fn own_front(anchor: &Solid, room: &Room) -> Option<Vector3<f32>> {
-    const AT_THE_WALL_M: f32 = 0.35;
-    const NEXT_WALL_M: f32 = 0.3;
-    let [a, b] = room_axes(room);
-    let sides = side_gaps(anchor, room).into_iter().zip([a, -a, b, -b]);
-    let inwards = |wall: &Solid| {
-        let across = Vector2::new(-along(wall).y, along(wall).x);
-        across * (anchor.center - wall.center).xy().dot(&across).signum()
-    };
-    let walls = room.walls.iter().map(|wall| (anchor.horizontal_gap(wall), inwards(wall)));
-    let backs: Vec<(f32, Vector2<f32>)> = sides.chain(walls).collect();
-    let (gap, front) = *backs.iter().min_by(|x, y| x.0.total_cmp(&y.0))?;
-    let other = backs
-        .iter()
-        .filter(|(_, other)| other.dot(&front).abs() < 0.5)
-        .map(|(gap, _)| *gap)
-        .fold(f32::INFINITY, f32::min);
-    let flat = anchor.sides().0 > 2.0 * anchor.sides().1;
-    // In a corner only a long thing tells which wall it has at its back.
-    let clear = other > gap + NEXT_WALL_M || flat && along(anchor).dot(&front).abs() < 0.3;
-    (gap <= AT_THE_WALL_M && clear).then(|| Vector3::new(front.x, front.y, 0.0))
-}
+/// What is left of being near where a wall stands between the two.
+const THROUGH_A_WALL: f32 = 0.4;
 
 /// 1 at zero, one half at `half`, towards 0 beyond.
-fn fade(distance: f32, half: f32) -> f32 {
+pub(super) fn fade(distance: f32, half: f32) -> f32 {
     1.0 / (1.0 + (distance.max(0.0) / half).powi(2))
 }
 
 /// How far two things are apart as people compare it, metres: between their middles on the ground plan. Boxes of things that reach far,
-/// walls and floors, say little by their middles: there it is the gap that counts.
+/// walls and floors, say little by their middles: there it is the gap that counts. Who is behind a wall has to walk around it.
 #[must_use]
-pub fn apart(target: &Solid, anchor: &Solid, of_the_building: bool) -> f32 {
+pub fn apart(target: &Solid, anchor: &Solid, of_the_building: bool, room: &Room) -> f32 {
+    const AROUND_A_WALL_M: f32 = 2.0;
     let middles = (target.center - anchor.center).xy().norm();
-    if of_the_building { target.gap(anchor) + 0.05 * middles } else { middles }
+    match () {
+        () if of_the_building => target.gap(anchor) + 0.05 * middles,
+        () if room.apart_by_a_wall(target, anchor) => middles + AROUND_A_WALL_M,
+        () => middles,
+    }
 }
 
 /// 1 where surfaces touch, falling with the gap: one half at 0.3 m plus a quarter of the mean footprint diagonal.
@@ -289,49 +255,6 @@ pub fn leaning(target: &Solid, anchor: &Solid) -> f32 {
     fade(target.horizontal_gap(anchor), 0.15) * fade(target.vertical_gap(anchor), 0.1)
 }
 
-/// Close to a wall, or to one side of the room.
-#[must_use]
-pub fn against_wall(target: &Solid, room: &Room) -> f32 {
-    let walls = room.walls.iter().map(|wall| fade(target.horizontal_gap(wall), 0.25));
-    side_gaps(target, room).into_iter().map(|g| fade(g, 0.3)).chain(walls).fold(0.0, f32::max)
-}
-
-/// Close to two sides of the room, or two walls, that meet: rooms may be L-shaped.
-#[must_use]
-pub fn in_corner(target: &Solid, room: &Room) -> f32 {
-    let [a, b, c, d] = side_gaps(target, room).map(|g| fade(g, 0.5));
-    let near = |wall: usize| fade(target.horizontal_gap(&room.walls[wall]), 0.5);
-    let meeting = room.corners.iter().map(|&(i, j)| near(i) * near(j)).fold(0.0, f32::max);
-    meeting.max(a.max(b) * c.max(d))
-}
-
-/// Near the middle of the room's outline, measured by the room's size.
-#[must_use]
-pub fn in_middle(target: &Solid, room: &Room) -> f32 {
-    let aside = |axis: usize| {
-        let offset = (target.center - room.outline.center).xy().dot(&room_axes(room)[axis]).abs();
-        offset / (room.outline.size[axis] / 2.0).max(0.1)
-    };
-    fade(aside(0), 0.45) * fade(aside(1), 0.45)
-}
-
-fn room_axes(room: &Room) -> [Vector2<f32>; 2] {
-    [room.outline.axis, Vector2::new(-room.outline.axis.y, room.outline.axis.x)]
-}
-
-/// Gaps to the four sides of the room's outline: two along each of its axes.
-fn side_gaps(target: &Solid, room: &Room) -> [f32; 4] {
-    let outline = &room.outline;
-    let mut gaps = [0.0; 4];
-    for (i, axis) in room_axes(room).iter().enumerate() {
-        let along = target.corners.map(|p| (p - outline.center.xy()).dot(axis));
-        let half = outline.size[i] / 2.0;
-        gaps[2 * i] = along.iter().copied().fold(f32::INFINITY, f32::min) + half;
-        gaps[2 * i + 1] = half - along.iter().copied().fold(f32::NEG_INFINITY, f32::max);
-    }
-    gaps
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -372,28 +295,6 @@ mod tests {
     }
 
     #[test]
-    fn corners_walls_and_the_middle_are_the_room_s() {
-        let room = room();
-        assert!(in_corner(&cube(2.7, 2.2, 0.3, 0.5), &room) > 0.9);
-        assert!(in_corner(&cube(0.0, 2.2, 0.3, 0.5), &room) < 0.1 && against_wall(&cube(0.0, 2.2, 0.3, 0.5), &room) > 0.9);
-        assert!(against_wall(&cube(0.0, 0.0, 0.3, 0.5), &room) < 0.1);
-        assert!(in_middle(&cube(0.2, -0.2, 0.3, 0.5), &room) > 0.8 && in_middle(&cube(2.7, 2.2, 0.3, 0.5), &room) < 0.1);
-    }
-
-    #[test]
-    fn corners_within_the_outline_are_corners() {
-        // An L-shaped room: two walls meet at (0, 0.5), in the middle of its outline.
-        let walls = vec![boxed([-1.5, 0.5, 1.3], [3.0, 0.1, 2.6]), boxed([0.0, 1.5, 1.3], [0.1, 2.0, 2.6])];
-        let l_shaped = Room::new(room().outline, walls);
-        let thing = cube(0.4, 0.8, 0.25, 0.5);
-        assert!(in_corner(&thing, &l_shaped) > 0.8 && in_corner(&thing, &room()) < 0.1);
-        assert!(in_corner(&cube(1.5, 0.5, 0.25, 0.5), &l_shaped) < 0.2);
-        // A long shelf at the inner wall has its back there.
-        let shelf = boxed([-1.5, 0.3, 0.9], [1.2, 0.3, 1.8]);
-        assert!(own_front(&shelf, &l_shaped).is_some_and(|front| front.y < -0.9) && own_front(&shelf, &room()).is_none());
-    }
-
-    #[test]
     fn who_does_not_say_from_where_faces_the_thing() {
         // Left of a bookcase at the wall at +Y, for who faces it, is -X; the paper's left is +X.
         let bookcase = boxed([0.0, 2.3, 1.0], [0.8, 0.4, 2.0]);
@@ -414,7 +315,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_at_a_wall_has_its_front_to_the_room() {
+    fn in_front_of_what_stands_at_a_wall_is_the_room() {
         // A bookcase at the wall at +Y: its front is -Y. One at -Y: its front is +Y, though the convention says -Y.
         let (north, south) = (boxed([0.0, 2.3, 1.0], [0.8, 0.4, 2.0]), boxed([0.5, -2.3, 1.0], [0.8, 0.4, 2.0]));
         let stool = cube(0.3, -1.2, 0.25, 0.4);
@@ -424,7 +325,27 @@ mod tests {
         // Somebody who looks along -Y from behind it sees it the other way round.
         let seen = Directions::looking_along(Vector3::y()).unwrap();
         assert!(front(&south, seen) < 0.1);
-        assert!(own_front(&cube(0.0, 0.0, 0.4, 0.5), &room()).is_none() && own_front(&cube(2.7, 2.2, 0.3, 0.5), &room()).is_none());
+    }
+
+    #[test]
+    fn near_goes_by_the_middles_too_and_not_on_top_of_it() {
+        let desk = boxed([0.0, 0.0, 0.375], [1.6, 0.8, 0.75]);
+        // Both touch the desk: one tucked in at its middle, one at its corner.
+        let (middle, corner) = (boxed([0.2, 0.6, 0.25], [0.4, 0.4, 0.5]), boxed([1.0, 0.6, 0.25], [0.4, 0.4, 0.5]));
+        assert_eq!((near(&middle, &desk), near(&corner, &desk)), (1.0, 1.0));
+        assert!(
+            close(&middle, &desk) > 1.03 * close(&corner, &desk) && close(&corner, &desk) > 0.75,
+            "{}",
+            close(&corner, &desk)
+        );
+        assert!(close(&cube(0.0, 0.0, 0.8, 0.1), &desk) < close(&corner, &desk));
+        // Two rooms: what is nearest without a wall between is nearest.
+        let wall = boxed([1.5, 0.0, 1.3], [0.1, 5.0, 2.6]);
+        let two = Room::new(room().outline, vec![wall]);
+        let (here, there) = (cube(-1.4, 0.0, 0.3, 0.4), cube(2.0, 0.0, 0.3, 0.4));
+        let next =
+            |target: &Solid| score(RelationKind::Near, target, &[&cube(0.6, 0.0, 0.3, 0.4)], &DirectionConvention::Paper.into(), &two);
+        assert!(next(&there) < 0.5 && apart(&here, &desk, false, &two) < apart(&there, &desk, false, &two));
     }
 
     #[test]
@@ -443,7 +364,7 @@ mod tests {
             let directions: Directions = DirectionConvention::Viewer.into();
             let turned_room = Room::new(turned(&room.outline, by), room.walls.iter().map(|w| turned(w, by)).collect());
             let turn = nalgebra::Rotation3::from_axis_angle(&Vector3::z_axis(), by);
-            let turned_directions = Directions { right: turn * directions.right, front: turn * directions.front, of_somebody: false };
+            let turned_directions = Directions { right: turn * directions.right, front: turn * directions.front, ..directions };
             let (ta, tb, tc) = (turned(&a, by), turned(&b, by), turned(&c, by));
             for kind in RelationKind::ALL {
                 let s = score(kind, &a, &[&b, &c], &directions, &room);

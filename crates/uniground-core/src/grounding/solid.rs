@@ -75,6 +75,19 @@ impl Solid {
         (self.size[0].max(self.size[1]), self.size[0].min(self.size[1]))
     }
 
+    /// The direction of the longer side, unit length.
+    #[must_use]
+    pub fn along(&self) -> Vector2<f32> {
+        if self.size[0] >= self.size[1] { self.axis } else { Vector2::new(-self.axis.y, self.axis.x) }
+    }
+
+    /// From where to where the footprint reaches along a horizontal direction (unit), metres from the world's origin.
+    #[must_use]
+    pub fn span(&self, direction: &Vector2<f32>) -> (f32, f32) {
+        let along = self.corners.map(|p| p.coords.dot(direction));
+        (along.iter().copied().fold(f32::INFINITY, f32::min), along.iter().copied().fold(f32::NEG_INFINITY, f32::max))
+    }
+
     /// How far a point is from the middle towards the end of the footprint along `direction` (unit): 0 at the middle and beyond on the other
     /// side, 1 from half the way on.
     #[must_use]

@@ -5,10 +5,10 @@
 use super::Verdict;
 use super::confidence::{NamesFrom, share_right};
 use super::explanation::{explain, explain_several, explain_tie, relation_words, why_nothing_fits};
+use super::views::{View, views};
 use crate::grounding::assess::{Assessment, Assessor};
-use crate::grounding::direction::Directions;
 use crate::grounding::fit::{colours_fit, most_plausible};
-use crate::grounding::query::{Look, Meaning, ParsedQuery, Phrase, Quantity, Viewpoint};
+use crate::grounding::query::{Meaning, ParsedQuery, Phrase, Quantity};
 use crate::grounding::readings::Readings;
 use crate::grounding::{NoMatchReason, SceneView, Status};
 use crate::models::attributes::Noun;
@@ -39,9 +39,6 @@ const OTHER_READING: f32 = 0.92;
 /// Power of the scores that share the belief: the higher, the more the best one has.
 const BELIEF_POWER: i32 = 4;
 
-/// A seat this near to a table is one at it, metres.
-const SEAT_REACH_M: f32 = 1.0;
-
 /// Decides for one question.
 #[must_use]
 pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
@@ -49,32 +46,29 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let why = "The question is not in English, the one language the built-in parser reads; a chat model may read it.".to_owned();
         return no_match(vec![0.0; assessor.scene.instances.len()], NoMatchReason::NotEnglish, why);
     }
-    let viewpoint = parsed
-        .viewpoint
-        .as_ref()
-        .and_then(|viewpoint| look(assessor, viewpoint, parsed.standpoint.as_ref(), &parsed.target));
-    assessor.looked_at = viewpoint.filter(|_| parsed.viewpoint.as_ref().is_some_and(|v| v.look == Look::Facing));
-    let assessment = assessor.assess(&parsed.target);
+    let read: Vec<Read> = views(assessor, parsed).into_iter().map(|view| Read::of(view, assessor, parsed)).collect();
+    let scores: Vec<f32> = (0..assessor.scene.instances.len())
+        .map(|i| read.iter().map(|read| read.score(i)).fold(0.0, f32::max))
+        .collect();
+    let mut order: Vec<usize> = (0..scores.len()).collect();
+    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
+    // The view that won is the one to explain, and that others are told of.
+    let score_of_best = |read: &Read| order.first().map_or(0.0, |&best| read.score(best));
+    let won = (0..read.len()).reduce(|best, next| if score_of_best(&read[next]) > score_of_best(&read[best]) { next } else { best });
+    let Read { view, assessment, other, .. } = &read[won.unwrap_or(0)];
+    view.take(assessor);
     let instances = assessor.scene.instances;
     let best_fit = assessment.nouns.iter().copied().fold(0.0, f32::max);
     if best_fit < MIN_FIT {
         let is_unknown = Readings::of(&parsed.target).iter().all(|reading| reading.meaning == Meaning::Unknown);
         let reason = if is_unknown { NoMatchReason::NotRecognised } else { NoMatchReason::Absent };
-        return no_match(assessment.own, reason, why_nothing_fits(parsed));
+        return no_match(assessment.own.clone(), reason, why_nothing_fits(parsed));
     }
-    if !colours_agree(&assessment, &parsed.target, assessor.scene) {
-        return no_match(assessment.own, NoMatchReason::Absent, why_nothing_fits(parsed));
+    if !colours_agree(assessment, &parsed.target, assessor.scene) {
+        return no_match(assessment.own.clone(), NoMatchReason::Absent, why_nothing_fits(parsed));
     }
-    let other = parsed.other_reading.as_ref().map(|phrase| assessor.assess(phrase));
-    let mut scores = joint_scores(&assessment, other.as_ref());
-    // "facing the desk, the thing on the left" is not the desk.
-    if let Some(v) = viewpoint.filter(|_| parsed.target.meaning() == Meaning::Anything) {
-        scores[v] = 0.0;
-    }
-    let mut order: Vec<usize> = (0..scores.len()).collect();
-    order.sort_by(|&a, &b| scores[b].total_cmp(&scores[a]).then(a.cmp(&b)));
     let best = order[0];
-    if scores[best] < MIN_SCORE && contradicted(&parsed.target, &assessment, best) {
+    if scores[best] < MIN_SCORE && contradicted(&parsed.target, assessment, best) {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
@@ -89,14 +83,14 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let tied: Vec<usize> = order.iter().copied().take_while(|&i| scores[i] >= TIE * scores[best]).collect();
     let status = if several.is_empty() && tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
     // The reading that won is the one to explain.
-    let (phrase, read) = match (&parsed.other_reading, &other) {
+    let (phrase, assessed) = match (&parsed.other_reading, other) {
         (Some(phrase), Some(other)) if other.total[best] * OTHER_READING > assessment.total[best] => (phrase, other),
-        _ => (&parsed.target, &assessment),
+        _ => (&parsed.target, assessment),
     };
     let explanation = match status {
         Status::Ambiguous => explain_tie(assessor.scene, &parsed.target, &tied),
         _ if several.len() > 1 => explain_several(assessor.scene, &parsed.target, &several),
-        _ => explain(assessor, phrase, read, best, viewpoint),
+        _ => explain(assessor, phrase, assessed, best, &looked_by(view, &read)),
     };
     // Several do not share one belief.
     let mut beliefs = if parsed.quantity == Quantity::One { beliefs(&scores) } else { scores.clone() };
@@ -112,47 +106,50 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         scores,
         several,
         explanation,
-        anchor: read.bonds.iter().find_map(|bond| bond[best].anchor).or(viewpoint.map(|v| instances[v].id)),
+        anchor: assessed.bonds.iter().find_map(|bond| bond[best].anchor).or(view.by.map(|i| instances[i].id)),
         relation_used: relation_words(phrase),
         target_name_matches: Some(name_matches(assessor.scene, &parsed.target, best)),
     }
-}
-
-/// Turns the directions to those of somebody who looks as the words say; returns the index of the thing they look by.
-fn look(assessor: &mut Assessor, viewpoint: &Viewpoint, standpoint: Option<&Phrase>, target: &Phrase) -> Option<usize> {
-    let center = assessor.room().outline.center;
-    let Some(anchor) = assessor.best(&viewpoint.anchor) else {
-        // What they look at was not found: it is where the things asked for are.
-        let stands = standpoint.and_then(|phrase| assessor.best(phrase)).map_or(center, |s| assessor.solids[s].center);
-        if let Some(directions) = assessor
-            .middle_of(target)
-            .and_then(|middle| Directions::looking_along(middle - stands))
-            .filter(|_| viewpoint.look == Look::Facing)
-        {
-            assessor.directions = directions;
-        }
-        return None;
-    };
-    // Somebody who stands at a thing and looks at another looks along the line between the two.
-    let stands = standpoint
-        .filter(|_| viewpoint.look == Look::Facing)
-        .and_then(|phrase| {
-            assessor
-                .best(phrase)
-                .filter(|&s| phrase.uses.is_empty() || assessor.solids[s].gap(&assessor.solids[anchor]) < SEAT_REACH_M)
-        })
-        .filter(|s| *s != anchor);
-    assessor.directions = match stands {
-        Some(s) => Directions::of_look(viewpoint.look, &assessor.solids[anchor], &assessor.solids[s].center)?,
-        None => Directions::of_look(viewpoint.look, &assessor.solids[anchor], &center)?,
-    };
-    Some(anchor)
 }
 
 /// Whether any of the things that may be meant has the colours asked for; a related colour alone ("orange" for yellow) is not enough.
 fn colours_agree(assessment: &Assessment, target: &Phrase, scene: SceneView) -> bool {
     let likely = most_plausible(&assessment.nouns, usize::MAX);
     target.colours.is_empty() || likely.iter().any(|&(i, _)| colours_fit(scene, target, i) >= MIN_COLOUR)
+}
+
+/// A question, read from one view.
+struct Read {
+    view: View,
+    assessment: Assessment,
+    /// By the second reading of its words.
+    other: Option<Assessment>,
+    scores: Vec<f32>,
+}
+
+impl Read {
+    fn of(view: View, assessor: &mut Assessor, parsed: &ParsedQuery) -> Self {
+        view.take(assessor);
+        let assessment = assessor.assess(&parsed.target);
+        let other = parsed.other_reading.as_ref().map(|phrase| assessor.assess(phrase));
+        let mut scores = joint_scores(&assessment, other.as_ref());
+        // "facing the desk, the thing on the left" is not the desk.
+        if let Some(by) = view.by.filter(|_| parsed.target.meaning() == Meaning::Anything) {
+            scores[by] = 0.0;
+        }
+        Self { view, assessment, other, scores }
+    }
+
+    /// What speaks for an instance if it is this view that is meant, and how sure that is.
+    fn score(&self, index: usize) -> f32 {
+        self.view.sure * self.scores[index]
+    }
+}
+
+/// Indices of the things that somebody may look by, that of the view that won first.
+fn looked_by(won: &View, read: &[Read]) -> Vec<usize> {
+    let others = read.iter().filter_map(|read| read.view.by).filter(|by| Some(*by) != won.by);
+    won.by.into_iter().chain(others).collect()
 }
 
 /// The better of the two readings, instance by instance.
@@ -334,12 +331,74 @@ mod tests {
         // Mugs 4 (x = -0.5) and 5 (x = 0.5) stand side by side along X.
         let predicted = |answer: Grounding| answer.answer.predicted_id.map(|id| id.0);
         assert_eq!(predicted(ask_with("the leftmost mug", DirectionConvention::Viewer, None)), Some(4));
-        assert_eq!(predicted(ask_with("the leftmost mug", DirectionConvention::Paper, None)), Some(5));
+        // Nobody chose a convention, and nobody stands behind the table, where the room ends.
+        assert_eq!(predicted(ask_with("the leftmost mug", DirectionConvention::Paper, None)), Some(4));
         let from_behind = Observer { position: [0.0, 4.0, 1.5], yaw_rad: -std::f32::consts::FRAC_PI_2 };
         let answer = ask_with("the leftmost mug", DirectionConvention::Viewer, Some(from_behind));
         assert_eq!(answer.direction_convention, "observer");
         assert_eq!(predicted(answer), Some(5));
         assert_eq!(predicted(ask("facing the table, the mug on the left")), Some(4));
+    }
+
+    #[test]
+    fn a_row_is_counted_from_its_free_side() {
+        // Three stools along a wall at y = 2, at y = -2, and in the open; ids 1 to 3 by X.
+        let leftmost = |y: f32, convention| {
+            let mut instances: Vec<Instance> = (1..=3)
+                .map(|id| thing(id, [id as f32 - 2.0, y], [0.4, 0.4, 0.45], 0.0, Support::Floor, [90, 60, 40]))
+                .collect();
+            let ends = [(4, -2.3), (5, 2.3)];
+            let walls = ends.map(|(id, y)| thing(id, [0.0, y], [7.0, 0.1, 2.6], 0.0, Support::Floor, [200; 3]));
+            instances.extend(walls.map(|wall| Instance { structure: Some(Structure::Wall), ..wall }));
+            instances.iter_mut().for_each(|i| i.given_name = i.structure.is_none().then(|| "stool".into()));
+            let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+            let names = NameIndex::of(&instances);
+            let scene = SceneView { instances: &instances, extent, names: &names, appearance: None };
+            let answer = ground(scene, &Question { convention, ..Question::of("the stool on the far left") }).answer;
+            let from_before = answer.explanation.contains("as who stands before them sees them");
+            (answer.predicted_id.map(|id| id.0), from_before)
+        };
+        assert_eq!(leftmost(2.0, DirectionConvention::Paper), (Some(1), true));
+        assert_eq!(leftmost(-2.0, DirectionConvention::Paper).0, Some(3), "by the convention too");
+        assert_eq!(leftmost(0.0, DirectionConvention::Paper), (Some(3), false), "in the open by the convention");
+        assert_eq!(leftmost(-2.0, DirectionConvention::Viewer), (Some(1), false), "who chose a convention has it");
+    }
+
+    #[test]
+    fn whom_the_words_may_mean_is_told() {
+        // Two desks at opposite ends, two mugs between them: which mug is left depends on the desk that is faced.
+        let named = |id: u32, at: [f32; 2], size: [f32; 3], name: &str| {
+            let bottom = if name == "mug" { 0.5 } else { 0.0 };
+            Instance { given_name: Some(name.into()), ..thing(id, at, size, bottom, Support::Floor, [90, 60, 40]) }
+        };
+        let desk = [1.4, 0.7, 0.75];
+        let mug = [0.1; 3];
+        let instances = [
+            named(1, [0.0, 2.0], desk, "desk"),
+            named(2, [0.0, -2.0], desk, "desk"),
+            named(3, [-0.5, 0.0], mug, "mug"),
+            named(4, [0.5, 0.0], mug, "mug"),
+        ];
+        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+        let names = NameIndex::of(&instances);
+        let ask = |query: &str| ground(SceneView { instances: &instances, extent, names: &names, appearance: None }, &Question::of(query));
+        let either = ask("facing the desk, the mug on the left");
+        assert_eq!(either.answer.predicted_id, Some(InstanceId(3)));
+        assert!(
+            either.answer.explanation.contains("instance 1 (brown desk), though 2 may be meant"),
+            "{}",
+            either.answer.explanation
+        );
+        // A window at one end leaves no doubt.
+        let mut with_window = instances.to_vec();
+        with_window.push(named(5, [0.0, 2.4], [1.5, 0.1, 1.2], "window"));
+        let names = NameIndex::of(&with_window);
+        let sure = ground(
+            SceneView { instances: &with_window, extent, names: &names, appearance: None },
+            &Question::of("facing the window, the mug on the left"),
+        );
+        assert_eq!(sure.answer.predicted_id, Some(InstanceId(3)));
+        assert!(sure.confidence > 1.2 * either.confidence, "{} {}", sure.confidence, either.confidence);
     }
 
     #[test]

@@ -13,7 +13,7 @@ use std::fmt::Write;
 /// "Instance 13 (brown chair, 0.45 x 0.48 x 0.90 m) is taken for "chair" (0.93), is brown (0.80); closest to instance 2
 /// (brown table), 0.40 m apart, of 4 chairs (1.00)."
 // Writing to a String can not fail.
-pub(super) fn explain(assessor: &Assessor, phrase: &Phrase, read: &Assessment, best: usize, viewpoint: Option<usize>) -> String {
+pub(super) fn explain(assessor: &Assessor, phrase: &Phrase, read: &Assessment, best: usize, looked_by: &[usize]) -> String {
     let instances = assessor.scene.instances;
     let instance = &instances[best];
     let size = instance.aabb.size;
@@ -57,10 +57,13 @@ pub(super) fn explain(assessor: &Assessor, phrase: &Phrase, read: &Assessment, b
         let _ = write!(text, "; {} {}", if with.absent { "without" } else { "with" }, with.phrase.text());
     }
     if let Some(superlative) = phrase.superlative {
-        let _ = write!(text, "; {} of {}", superlative_words(&superlative), rivals());
+        let seen = if read.place_seen_by[best] == SeenBy::WhoFacesIt { " as who stands before them sees them" } else { "" };
+        let _ = write!(text, "; {} of {}{seen}", superlative_words(&superlative), rivals());
     }
-    if let Some(anchor) = viewpoint.map(|v| &instances[v]) {
-        let _ = write!(text, "; seen with regard to instance {} ({})", anchor.id, described(anchor));
+    if let [by, others @ ..] = looked_by {
+        let _ = write!(text, "; seen with regard to instance {} ({})", instances[*by].id, described(&instances[*by]));
+        let others: Vec<String> = others.iter().map(|&i| instances[i].id.to_string()).collect();
+        let _ = if others.is_empty() { Ok(()) } else { write!(text, ", though {} may be meant", others.join(" or ")) };
     }
     text.push('.');
     text

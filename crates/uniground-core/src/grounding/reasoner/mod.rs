@@ -3,6 +3,7 @@
 pub mod builtin;
 mod confidence;
 mod explanation;
+mod views;
 
 use super::{NoMatchReason, Status};
 use crate::scene::InstanceId;

@@ -73,10 +73,10 @@ impl PromptContext {
         let mut anchors: Vec<PromptAnchor> = Vec::new();
         for phrase in phrases {
             let likely = assessor.likely(phrase, 1 + MAX_ALTERNATIVES);
-            let Some((&first, others)) = likely.split_first() else { continue };
+            let Some((&(first, _), others)) = likely.split_first() else { continue };
             let instance = &assessor.scene.instances[first];
             if anchors.iter().all(|a| a.id != instance.id) {
-                let alternatives = others.iter().map(|&i| assessor.scene.instances[i].id).collect();
+                let alternatives = others.iter().map(|&(i, _)| assessor.scene.instances[i].id).collect();
                 anchors.push(PromptAnchor { words: phrase.text(), id: instance.id, aabb: instance.aabb, alternatives });
             }
         }

@@ -1,4 +1,5 @@
-//! Kinds of things and English words, from `WordNet`'s noun graph: what is a kind of what, and which words are no misspellings.
+//! Kinds of things and English words, from `WordNet`'s noun graph: what is a kind of what, how usual it is, and which words are no
+//! misspellings.
 //!
 //! `wordnet.tsv` is made by `scripts/wordnet.py`; `wordnet-license.txt` is its licence.
 
@@ -20,6 +21,8 @@ pub enum Kinship {
 /// A kind of things.
 struct Kind {
     parent: Option<u32>,
+    /// How often tagged texts speak of it.
+    spoken_of: u32,
     /// How many kinds it has, itself included.
     size: u32,
 }
@@ -37,6 +40,8 @@ pub struct WordNet {
 const TOO_GENERAL: u32 = 400;
 /// Further up, a word is seldom used for the thing.
 const MOST_STEPS: u32 = 3;
+/// What a kind counts that texts never speak of, against those they often do.
+const EXOTIC: f32 = 0.9;
 
 impl WordNet {
     /// The one graph of the process.
@@ -62,6 +67,13 @@ impl WordNet {
         }
         let narrower = pairs().filter_map(|(a, b)| self.steps(a, b)).min().map(Kinship::Narrower);
         narrower.or_else(|| pairs().filter_map(|(a, b)| self.steps(b, a)).min().map(Kinship::Broader))
+    }
+
+    /// How usual the kind is that a name most usually means, from [`EXOTIC`] to 1: people seldom say "seat" and mean a pew.
+    #[must_use]
+    pub fn commonness(&self, name: &str) -> f32 {
+        let spoken_of = self.kinds_of(name).first().map_or(0, |&kind| self.kinds[kind as usize].spoken_of);
+        1.0 - (1.0 - EXOTIC) / (1.0 + spoken_of as f32)
     }
 
     /// Whether a name is known as a whole.
@@ -118,8 +130,10 @@ impl WordNet {
         let mut of_word: HashMap<&'static str, Vec<u32>> = HashMap::new();
         let mut read: Vec<Kind> = Vec::new();
         for (line, i) in kinds.lines().zip(0_u32..) {
-            let (parent, words) = line.split_once('\t').unwrap_or((line, ""));
-            read.push(Kind { parent: parent.parse().ok().filter(|p| *p < i), size: 1 });
+            let mut columns = line.split('\t');
+            let mut column = || columns.next().unwrap_or_default();
+            let (parent, spoken_of, words) = (column(), column(), column());
+            read.push(Kind { parent: parent.parse().ok().filter(|p| *p < i), spoken_of: spoken_of.parse().unwrap_or(0), size: 1 });
             for word in words.split(',').filter(|word| !word.is_empty()) {
                 let (word, usual) = word.strip_prefix('~').map_or((word, true), |word| (word, false));
                 let meanings = of_word.entry(word).or_default();
@@ -159,6 +173,14 @@ mod tests {
         for (a, b) in [("fridge", "washing machine"), ("sofa", "table"), ("thing", "chair"), ("artifact", "lamp"), ("xyzzy", "lamp")] {
             assert_eq!(of(a, b), None, "{a} {b}");
         }
+    }
+
+    #[test]
+    fn what_people_speak_of_is_more_common() {
+        let common = |name| WordNet::get().commonness(name);
+        assert!(common("chair") > common("pew") && common("pew") > common("bergere"), "{} {}", common("chair"), common("pew"));
+        assert_eq!((common("bergere"), common("xyzzy")), (EXOTIC, EXOTIC));
+        assert!(common("doors") > 0.99);
     }
 
     #[test]
