@@ -344,8 +344,8 @@ class BatchItemOptions(TypedDict, total=False):
     max_cost_usd: Optional[float]
     """Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model is asked."""
     min_confidence: Optional[float]
-    """Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, more likely right than not. 0:
-    nothing is uncertain.
+    """Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, where four of five are right of
+    what somebody named who looked, two of three of what only measures name. 0: nothing is uncertain.
     """
     observer: Optional[Observer]
     """Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me". In the coordinates that
@@ -779,8 +779,8 @@ class GroundOptions(TypedDict, total=False):
     max_cost_usd: Optional[float]
     """Most this question may cost, US dollars; the built-in reasoner costs nothing. 0: no model is asked."""
     min_confidence: Optional[float]
-    """Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, more likely right than not. 0:
-    nothing is uncertain.
+    """Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, where four of five are right of
+    what somebody named who looked, two of three of what only measures name. 0: nothing is uncertain.
     """
     observer: Optional[Observer]
     """Left, right, front and back as seen by this observer, and who is meant by "me": "the chair closest to me". In the coordinates that
