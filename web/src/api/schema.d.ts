@@ -1953,8 +1953,8 @@ export interface components {
             max_cost_usd?: number | null;
             /**
              * Format: float
-             * @description Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, more likely right than
-             *     not. 0: nothing is uncertain.
+             * @description Least belief for a `grounded` answer, `0..=1`: below it the answer is `uncertain`. Left out: 0.5, where four of five are
+             *     right of what somebody named who looked, two of three of what only measures name. 0: nothing is uncertain.
              */
             min_confidence?: number | null;
             observer?: components["schemas"]["Observer"] | null;
