@@ -169,7 +169,7 @@ mod tests {
         // What only guesses tell is believed as far as they are.
         let guessed = Instance { given_name: None, ..named(1, "", [90; 3]) };
         let guessed = Instance { names: crate::models::attributes::name_guesses(&guessed), ..guessed };
-        let known = entries(&[guessed.clone()]);
+        let known = entries(std::slice::from_ref(&guessed));
         assert!(!known.is_empty() && known.len() <= GUESSES && known.iter().all(|entry| entry.weight < 1.0), "{known:?}");
     }
 
