@@ -89,8 +89,8 @@ pub struct Flats<'a> {
     superpoints: &'a Superpoints,
     planes: &'a Planes,
     labels: &'a Labels<'a>,
-    flats: Vec<Flat>,
-    /// Place in `flats`, by id.
+    things: Vec<Flat>,
+    /// Place in `things`, by id.
     of_id: Vec<Option<u32>>,
 }
 
@@ -111,7 +111,7 @@ impl<'a> Flats<'a> {
     ) -> Self {
         let mut of_id = vec![None; labels.len() + 1];
         if settings.thin_sigmas == 0.0 {
-            return Self { superpoints, planes, labels, flats: Vec::new(), of_id };
+            return Self { superpoints, planes, labels, things: Vec::new(), of_id };
         }
         let (mut members, mut on_plane) = (vec![Vec::new(); labels.len()], vec![Vec::new(); planes.planes.len()]);
         for point in (0..cloud.len() as u32).filter(|&point| is_sampled(point)) {
@@ -162,39 +162,39 @@ impl<'a> Flats<'a> {
             flat.base += flat.axes[0] * median(&mut around)?;
             Some(flat)
         };
-        let flats: Vec<Flat> = members
+        let things: Vec<Flat> = members
             .par_iter()
             .enumerate()
             .filter_map(|(i, points)| flat((points, InstanceId(i as u32 + 1))))
             .collect();
-        (0..).zip(&flats).for_each(|(i, flat)| of_id[flat.id.0 as usize] = Some(i));
-        Self { superpoints, planes, labels, flats, of_id }
+        (0..).zip(&things).for_each(|(i, flat)| of_id[flat.id.0 as usize] = Some(i));
+        Self { superpoints, planes, labels, things, of_id }
     }
 
     /// What one frame tells, given its depth, the camera of that, and the points it shows.
     #[must_use]
     pub fn heights(&self, camera: &Camera, depth: &DepthImage, points: &[FramePoint]) -> Heights {
-        if self.flats.is_empty() {
+        if self.things.is_empty() {
             return Heights::default();
         }
         let to_world = camera.world_to_camera().inverse();
         // By flat thing: heights of the plane around; place along the plane and height of its own points.
-        let mut around: Vec<Vec<f32>> = vec![Vec::new(); self.flats.len()];
-        let mut own: Vec<Vec<([i32; 2], f32)>> = vec![Vec::new(); self.flats.len()];
+        let mut around: Vec<Vec<f32>> = vec![Vec::new(); self.things.len()];
+        let mut own: Vec<Vec<([i32; 2], f32)>> = vec![Vec::new(); self.things.len()];
         for seen in points.iter().filter(|seen| seen.sight == Sight::Visible) {
             let (u, v) = seen.cell;
             let measured = || to_world * camera.intrinsics.unproject(u as f32, v as f32, depth.at(seen.cell));
             let is_of = |flat: &Flat| self.labels.of(seen.point as usize).any(|id| id == flat.id);
             for flat in self.labels.of(seen.point as usize).filter_map(|id| self.of_id[id.0 as usize]) {
-                let (_, along) = self.flats[flat as usize].place(&seen.position);
-                let (height, _) = self.flats[flat as usize].place(&measured());
+                let (_, along) = self.things[flat as usize].place(&seen.position);
+                let (height, _) = self.things[flat as usize].place(&measured());
                 own[flat as usize].push((along.map(|at| (at / CELL_M).floor() as i32), height));
             }
             let plane = self.planes.of_superpoint[self.superpoints.of_point[seen.point as usize] as usize];
             if plane.is_none() || !is_sampled(seen.point) {
                 continue;
             }
-            for (i, flat) in self.flats.iter().enumerate().filter(|(_, flat)| Some(flat.plane) == plane) {
+            for (i, flat) in self.things.iter().enumerate().filter(|(_, flat)| Some(flat.plane) == plane) {
                 if flat.is_around(flat.place(&seen.position).1) && !is_of(flat) {
                     around[i].push(flat.place(&measured()).0);
                 }
@@ -216,7 +216,7 @@ impl<'a> Flats<'a> {
     /// What lies flat, given what all frames tell.
     #[must_use]
     pub fn reliefs(&self, heights: Heights) -> BTreeMap<InstanceId, Relief> {
-        let mut of_flat: Vec<Vec<f32>> = vec![Vec::new(); self.flats.len()];
+        let mut of_flat: Vec<Vec<f32>> = vec![Vec::new(); self.things.len()];
         for ((flat, _), (sum, count)) in heights.0.into_iter().filter(|(_, (_, count))| *count >= MIN_HEIGHTS) {
             of_flat[flat as usize].push(sum / count as f32);
         }
@@ -231,7 +231,7 @@ impl<'a> Flats<'a> {
             let span_m = (if hangs { from } else { 0.0 }, to);
             (span_m.1 - span_m.0 < THIN * extent).then(|| (flat.id, Relief { normal: flat.axes[0], base: flat.base, span_m }))
         };
-        self.flats.iter().zip(of_flat).filter_map(relief).collect()
+        self.things.iter().zip(of_flat).filter_map(relief).collect()
     }
 }
 
