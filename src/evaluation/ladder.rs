@@ -14,8 +14,9 @@ use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_core::scene_parsing::labels::Labels;
 use uniground_core::scene_parsing::lifting::{FrameVisibility, Lifted, Lifting};
 use uniground_core::scene_parsing::masks::{IdImage, MaskSource};
+use uniground_core::scene_parsing::relief::Flats;
 use uniground_core::scene_parsing::superpoints::{self, Superpoints};
-use uniground_core::scene_parsing::views::Labelled;
+use uniground_core::scene_parsing::views::{Labelled, Sighted};
 use uniground_core::scene_parsing::visibility::Visibility;
 use uniground_core::scene_parsing::{
     ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging, planes, refinement, views,
@@ -55,7 +56,7 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
     // Without sightings nothing is dropped.
     let score_points = |region_of: &[u32]| -> Result<InstanceScore, ParseError> {
         let labels = Labels::of_regions(region_of, &superpoints, Vec::new());
-        let built = instances::build(cloud, &superpoints, &planes, labels, Vec::new(), &settings.instances, &quiet)?;
+        let built = instances::build(cloud, &superpoints, &planes, labels, Sighted::default(), &settings.instances, &quiet)?;
         Ok(score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth))
     };
     let score = |region_of: &[u32]| score_points(&superpoints.spread(region_of));
@@ -112,8 +113,9 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
     let proposals = hierarchy::propose(&superpoints, &planes, &merged, &joined, &tables, settings, &quiet)?;
     let labels = Labels::of_regions(&refined, &superpoints, proposals);
     let labelled = Labelled { labels: &labels, visibility: &visibility };
-    let sightings = views::all_sightings(labelled, &frames, &masks_of, &quiet)?;
-    let built = instances::build(cloud, &superpoints, &planes, labels, sightings, &settings.instances, &quiet)?;
+    let flats = Flats::of(cloud, &superpoints, &planes, &labels, &cameras, &settings.instances);
+    let sighted = views::all_sighted(labelled, Some(&flats), &frames, &masks_of, &quiet)?;
+    let built = instances::build(cloud, &superpoints, &planes, labels, sighted, &settings.instances, &quiet)?;
     let shown = score_instances(&built.instances, &built.labels.thing_of_point, &objects, &room.truth);
     let point_iou = reached(&built.labels, &objects, &room.truth);
     let with_all = InstanceScore { box_iou: shown.reachable_box_iou.clone(), point_iou, ..shown.clone() };

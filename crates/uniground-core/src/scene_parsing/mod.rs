@@ -26,6 +26,7 @@ mod perceived;
 pub mod planes;
 pub mod pointed;
 pub mod refinement;
+pub mod relief;
 pub mod report_pictures;
 pub mod sharpness;
 mod stopwatch;
@@ -33,6 +34,7 @@ pub mod superpoints;
 pub mod views;
 pub mod visibility;
 
+use crate::geometry::Point3;
 use crate::geometry::boxes::Aabb;
 use crate::models::neural::{DualEncoder, ModelError};
 use crate::models::{attributes, calibration};
@@ -48,6 +50,7 @@ use lifting::{FrameVisibility, Lifted, MasksOfFrames};
 use masks::MaskSource;
 use perceived::Perceived;
 use planes::Planes;
+use relief::Flats;
 pub use stopwatch::{StageOutcome, Stopwatch};
 use superpoints::Superpoints;
 pub use uniground_types::settings::ParsingSettings;
@@ -139,16 +142,17 @@ pub fn parse(
         Seen { cloud: &cloud, frames: &frames, superpoints: &superpoints, visibility: &visibility, tables: &tables, masks_of: &masks_of };
     let Grouped { planes, region_of, proposals } = group(seen, perception, settings, &checkpoints, progress, &mut watch)?;
     let labels = Labels::of_regions(&region_of, &superpoints, proposals);
-    let sightings = watch.time("views", |outcome| {
+    let sighted = watch.time("views", |outcome| {
         let viewing = progress.part(ends[5], ends[6]);
         let labelled = Labelled { labels: &labels, visibility: &visibility };
-        let sightings = views::all_sightings(labelled, &frames, &masks_of, &viewing)?;
-        outcome.produced = sightings.len();
-        Ok::<_, ParseError>(sightings)
+        let flats = Flats::of(&cloud, &superpoints, &planes, &labels, &centers(&frames), &settings.instances);
+        let sighted = views::all_sighted(labelled, Some(&flats), &frames, &masks_of, &viewing)?;
+        outcome.produced = sighted.sightings.len();
+        Ok::<_, ParseError>(sighted)
     })?;
     let built = watch.time("instances", |outcome| {
         let building = progress.part(ends[6], ends[7]);
-        let built = instances::build(&cloud, &superpoints, &planes, labels, sightings, &settings.instances, &building)?;
+        let built = instances::build(&cloud, &superpoints, &planes, labels, sighted, &settings.instances, &building)?;
         outcome.produced = built.instances.len();
         Ok::<_, ParseError>(built)
     })?;
@@ -238,8 +242,7 @@ fn group(
     let Seen { cloud, frames, superpoints, visibility, tables, masks_of } = seen;
     let ends = perception.ends();
     let planes = watch.time("planes", |outcome| {
-        let cameras: Vec<_> = frames.iter().map(|f| f.camera_to_world.translation.vector.into()).collect();
-        let planes = planes::find(cloud, superpoints, &cameras, &progress.part(ends[1], ends[2]))?;
+        let planes = planes::find(cloud, superpoints, &centers(frames), &progress.part(ends[1], ends[2]))?;
         outcome.produced = planes.planes.len();
         Ok::<_, ParseError>(planes)
     })?;
@@ -273,6 +276,11 @@ fn group(
         })?,
     };
     Ok(Grouped { planes, region_of, proposals })
+}
+
+/// Where the cameras stood, metres, world frame.
+fn centers(frames: &[FrameRef]) -> Vec<Point3<f32>> {
+    frames.iter().map(|frame| frame.camera_to_world.translation.vector.into()).collect()
 }
 
 /// What the one who reads the report should know, given the frames that see no point of the cloud.

@@ -6,6 +6,7 @@ use super::labels::Labels;
 use super::lifting::MasksOfFrames;
 use super::masks::IdRuns;
 use super::outline::{Outline, unoccluded};
+use super::relief::{Flats, Heights, Relief};
 use super::sharpness::SharpnessOfFrames;
 use super::visibility::{FramePoint, SAMPLED, Sight, Visibility, is_sampled};
 use crate::geometry::Point3;
@@ -38,6 +39,15 @@ pub struct Sighting {
     pub covered_px: f32,
     /// IoU of the points it shows and those of the mask that fits them best; 0 without masks.
     pub agreement: f32,
+}
+
+/// What the frames show of the instances-to-be.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Sighted {
+    /// In order of frames.
+    pub sightings: Vec<Sighting>,
+    /// Of what lies flat on a plane.
+    pub reliefs: BTreeMap<InstanceId, Relief>,
 }
 
 /// A point of an instance in the pictures of a frame.
@@ -92,13 +102,12 @@ fn by_instance(labels: &Labels, frame: &FrameRef, points: &[FramePoint]) -> (Vec
     (pixels, unseen)
 }
 
-/// Every instance this frame shows, in order of id; `masks` are the frame's id images, `sampled` counts the points of each instance that
-/// are told of where they are not visible.
+/// Every instance this frame shows, in order of id, given its [`around_frame`](Visibility::around_frame); `masks` are the frame's id images,
+/// `sampled` counts the points of each instance that are told of where they are not visible.
 ///
 /// The box in the picture is robust: the outermost 1 % of the visible points at each side are left out.
-fn sightings(labelled: Labelled, sampled: &[u32], frame: &FrameRef, depth: &DepthImage, masks: &[IdRuns]) -> Vec<Sighting> {
-    let points = labelled.visibility.around_frame(&frame.depth_camera(), depth);
-    let (hits, unseen) = by_instance(labelled.labels, frame, &points);
+fn sightings(labelled: Labelled, sampled: &[u32], frame: &FrameRef, points: &[FramePoint], masks: &[IdRuns]) -> Vec<Sighting> {
+    let (hits, unseen) = by_instance(labelled.labels, frame, points);
     let (width, height) = (frame.colour_intrinsics.width, frame.colour_intrinsics.height);
     let agreements = agreements(&hits, labelled.labels.things, masks);
     hits.chunk_by(|a, b| a.instance == b.instance)
@@ -182,21 +191,40 @@ pub fn all_sightings(
     masks: &MasksOfFrames,
     progress: &Progress,
 ) -> Result<Vec<Sighting>, ParseError> {
-    let mut all = Vec::new();
+    Ok(all_sighted(labelled, None, frames, masks, progress)?.sightings)
+}
+
+/// As [`all_sightings`], and what the frames tell of what lies flat.
+///
+/// # Errors
+/// [`ParseError`]: an unreadable frame, or cancellation.
+pub fn all_sighted(
+    labelled: Labelled,
+    flats: Option<&Flats>,
+    frames: &[FrameRef],
+    masks: &MasksOfFrames,
+    progress: &Progress,
+) -> Result<Sighted, ParseError> {
+    let (mut all, mut heights) = (Vec::new(), Heights::default());
     let sampled = labelled.labels.counts(is_sampled);
     stream_frames(
         frames,
         |frame| {
             progress.check()?;
             let masks = masks.get(&frame.index).map_or(&[][..], Vec::as_slice);
-            Ok::<_, ParseError>(sightings(labelled, &sampled, frame, &frame.decode_depth()?, masks))
+            let depth = frame.decode_depth()?;
+            let camera = frame.depth_camera();
+            let points = labelled.visibility.around_frame(&camera, &depth);
+            let heights = flats.map(|flats| flats.heights(&camera, &depth, &points)).unwrap_or_default();
+            Ok::<_, ParseError>((sightings(labelled, &sampled, frame, &points, masks), heights))
         },
-        |i, seen| {
+        |i, (seen, of_frame)| {
             all.extend(seen);
+            heights.gather(of_frame);
             Ok(progress.report("views", (i + 1) as f32 / frames.len() as f32)?)
         },
     )?;
-    Ok(all)
+    Ok(Sighted { sightings: all, reliefs: flats.map(|flats| flats.reliefs(heights)).unwrap_or_default() })
 }
 
 /// Gives each instance its views: the best first, then the farthest camera centre among those that show it well.

@@ -5,14 +5,19 @@ use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::statistics::quantile;
 use crate::geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
 use crate::geometry::{Point2, Point3};
+use crate::scene_parsing::relief::Relief;
 
 /// Axis-aligned and oriented box of the points that have company. Thin extents shrink by what noise of standard deviation `noise_m`
-/// (metres) adds to them.
-pub(super) fn robust(positions: &[Point3<f32>], noise_m: f32, settings: &InstanceSettings) -> (Aabb, OrientedBox) {
+/// (metres) adds to them; what lies flat is as thick as its relief says.
+pub(super) fn robust(positions: &[Point3<f32>], noise_m: f32, relief: Option<&Relief>, settings: &InstanceSettings) -> (Aabb, OrientedBox) {
     let mut kept = in_company(positions, settings);
     // A sparse thing is all strays: then every point counts.
     if kept.len() * 2 < positions.len() {
         kept = positions.to_vec();
+    }
+    let noise_m = if relief.is_some() { 0.0 } else { noise_m };
+    if let Some(relief) = relief {
+        kept = relief.flattened(&kept);
     }
     let bounds: [(f32, f32); 3] = std::array::from_fn(|axis| {
         let mut values: Vec<f32> = kept.iter().map(|p| p[axis]).collect();
@@ -64,10 +69,10 @@ mod tests {
 
     #[test]
     fn a_stray_point_does_not_stretch_the_box() {
-        let clean = robust(&block(), 0.0, &InstanceSettings::default()).0;
+        let clean = robust(&block(), 0.0, None, &InstanceSettings::default()).0;
         let mut stray = block();
         stray.push(Point3::new(3.0, 3.0, 3.0));
-        let found = robust(&stray, 0.0, &InstanceSettings::default()).0;
+        let found = robust(&stray, 0.0, None, &InstanceSettings::default()).0;
         assert!(found.iou(&clean) > 0.98, "{found:?} against {clean:?}");
         assert!((clean.size - Vector3::new(0.38, 0.18, 0.18)).norm() < 0.05, "{clean:?}");
     }
@@ -82,7 +87,7 @@ mod tests {
             .map(|i| Point3::new((i % 60) as f32 * 0.01, even(i) * 0.02 + noise(i), (i / 60) as f32 * 0.01))
             .collect();
         let raw = Aabb::around(&points).unwrap().size;
-        let (aabb, _) = robust(&points, noise_m, &InstanceSettings::default());
+        let (aabb, _) = robust(&points, noise_m, None, &InstanceSettings::default());
         assert!(aabb.size.y < 0.75 * raw.y, "{} from {}", aabb.size.y, raw.y);
         assert!(
             (aabb.size.x - raw.x).abs() < 0.01 && (aabb.size.z - raw.z).abs() < 0.01,
@@ -93,7 +98,7 @@ mod tests {
 
     #[test]
     fn lone_points_still_have_a_box() {
-        let (aabb, oriented) = robust(&[Point3::new(1.0, 2.0, 3.0)], 0.0, &InstanceSettings::default());
+        let (aabb, oriented) = robust(&[Point3::new(1.0, 2.0, 3.0)], 0.0, None, &InstanceSettings::default());
         assert_eq!((aabb.center, aabb.size), (Point3::new(1.0, 2.0, 3.0), Vector3::zeros()));
         assert_eq!(oriented.size, Vector3::zeros());
     }
@@ -104,7 +109,7 @@ mod tests {
         fn the_robust_box_lies_inside_the_raw_one(points in prop::collection::vec(prop::array::uniform3(-1.0_f32..1.0), 1..200)) {
             let points: Vec<_> = points.into_iter().map(Point3::from).collect();
             let raw = Aabb::around(&points).unwrap();
-            let (aabb, _) = robust(&points, 0.05, &InstanceSettings::default());
+            let (aabb, _) = robust(&points, 0.05, None, &InstanceSettings::default());
             prop_assert!((0..3).all(|i| aabb.min()[i] >= raw.min()[i] - 1e-5 && aabb.max()[i] <= raw.max()[i] + 1e-5));
         }
     }

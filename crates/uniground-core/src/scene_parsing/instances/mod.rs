@@ -15,8 +15,9 @@ use crate::progress::{Cancelled, Progress};
 use crate::scene::{Instance, InstanceId, Level, PointCloud, Structure, Support, View};
 use crate::scene_parsing::labels::{Compound, Labels};
 use crate::scene_parsing::planes::Planes;
+use crate::scene_parsing::relief::Relief;
 use crate::scene_parsing::superpoints::Superpoints;
-use crate::scene_parsing::views::Sighting;
+use crate::scene_parsing::views::{Sighted, Sighting};
 use rayon::prelude::*;
 pub use single::{merged, of_points};
 use std::collections::BTreeMap;
@@ -37,7 +38,7 @@ pub struct Built<'a> {
     pub specks: u32,
 }
 
-/// Builds instances from numbered regions, parts and wholes, and their sightings. What is none is dropped and the others close up.
+/// Builds instances from numbered regions, parts and wholes, and what frames show of them. What is none is dropped and the others close up.
 ///
 /// A thing is shown by masks of its own. What stands out of a wall where poses drift, the rims between things and other leftovers are in no
 /// mask, or under one of something else: on the mean over the frames that see it, weighted by its points they see, no mask agrees with it.
@@ -52,11 +53,12 @@ pub fn build<'a>(
     superpoints: &Superpoints,
     planes: &Planes,
     labels: Labels<'a>,
-    sightings: Vec<Sighting>,
+    sighted: Sighted,
     settings: &InstanceSettings,
     progress: &Progress,
 ) -> Result<Built<'a>, Cancelled> {
     progress.report("instances", 0.0)?;
+    let Sighted { sightings, reliefs } = sighted;
     let mut members: Vec<Vec<u32>> = vec![Vec::new(); labels.len()];
     for point in 0..cloud.len() {
         labels.of(point).for_each(|id| members[id.0 as usize - 1].push(point as u32));
@@ -64,12 +66,16 @@ pub fn build<'a>(
     let noise = Noise::of(superpoints);
     let mut shapes: Vec<Shape> = members
         .par_iter()
-        .map(|points| progress.check().map(|()| Shape::of(cloud, points, noise.around(points), settings)))
+        .map(|points| progress.check().map(|()| Shape::of(cloud, points, noise.around(points), None, settings)))
         .collect::<Result<_, Cancelled>>()?;
     let lowest_z = || quantile(&mut cloud.positions.iter().map(|p| p.z).collect::<Vec<_>>(), 0.01);
     let floor_z = planes.floor_z().or_else(lowest_z).unwrap_or(0.0);
     let things = labels.things as usize;
     let mut structures = structures(&shapes[..things], &members, superpoints, planes, floor_z);
+    let flat = reliefs.iter().map(|(id, relief)| (id.0 as usize - 1, relief));
+    for (i, relief) in flat.filter(|(i, _)| structures.get(*i).is_none_or(Option::is_none)) {
+        shapes[i] = Shape::of(cloud, &members[i], noise.around(&members[i]), Some(relief), settings);
+    }
     let specks = specks(&shapes[..things], &structures, &sightings, settings);
     let new_id = kept(&labels, &structures, &specks, &agreement(labels.len(), &sightings), settings);
     let stays = |i: usize| new_id[i + 1].0 != 0;
@@ -259,11 +265,11 @@ struct Shape {
 }
 
 impl Shape {
-    fn of(cloud: &PointCloud, members: &[u32], noise_m: f32, settings: &InstanceSettings) -> Self {
+    fn of(cloud: &PointCloud, members: &[u32], noise_m: f32, relief: Option<&Relief>, settings: &InstanceSettings) -> Self {
         let positions: Vec<Point3<f32>> = members.iter().map(|&i| cloud.positions[i as usize]).collect();
         let colours = || members.iter().map(|&i| cloud.colours[i as usize]);
         let raw_box = Aabb::around(&positions).unwrap_or(Aabb { center: Point3::origin(), size: Vector3::zeros() });
-        let (aabb, oriented_box) = bounds::robust(&positions, noise_m, settings);
+        let (aabb, oriented_box) = bounds::robust(&positions, noise_m, relief, settings);
         let planarity = planarity(&positions);
         let n = members.len().max(1) as u64;
         let sum = colours().fold([0_u64; 3], |sum, c| std::array::from_fn(|i| sum[i] + u64::from(c[i])));
@@ -348,7 +354,8 @@ mod tests {
         let sightings = vec![seen(1, 0.9), seen(2, 0.1), seen(3, 0.5), seen(4, 0.9)];
         let settings = InstanceSettings::default();
         let labels = Labels::of_regions(&region_of, &superpoints, Vec::new());
-        let built = build(&cloud, &superpoints, &planes, labels, sightings, &settings, &Progress::silent()).unwrap();
+        let sighted = Sighted { sightings, reliefs: BTreeMap::new() };
+        let built = build(&cloud, &superpoints, &planes, labels, sighted, &settings, &Progress::silent()).unwrap();
         assert_eq!(
             (built.dropped, built.specks, built.instances.iter().map(|i| i.point_count).collect::<Vec<_>>()),
             (1, 1, vec![1000, 216])

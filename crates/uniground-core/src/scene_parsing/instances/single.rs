@@ -40,7 +40,7 @@ pub fn merged(
 pub fn of_points(cloud: &PointCloud, points: &[u32], known: &[Instance], settings: &InstanceSettings) -> Instance {
     // How rough surfaces are was measured with the superpoints, which are not kept.
     const NOISE_M: f32 = 0.0;
-    let shape = Shape::of(cloud, points, NOISE_M, settings);
+    let shape = Shape::of(cloud, points, NOISE_M, None, settings);
     let bottom_z = |i: &Instance| i.aabb.min().z;
     let floor_z = known.first().map_or(shape.aabb.min().z, |i| bottom_z(i) - i.height_above_floor_m);
     let things: Vec<&Instance> = known.iter().filter(|i| i.level == Level::Thing && !i.dismissed).collect();
