@@ -173,3 +173,37 @@ fn nearness_to(places: &[(usize, f32, f32)], asked: f32) -> Vec<(usize, f32)> {
     let best = factors.iter().map(|f| f.1).fold(f32::EPSILON, f32::max);
     factors.into_iter().map(|(t, factor)| (t, factor / best)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::geometry::boxes::Aabb;
+    use crate::geometry::{Point3, Vector3};
+    use crate::grounding::direction::DirectionConvention;
+    use crate::grounding::{NameIndex, Question, SceneView, ground};
+    use crate::models::attributes::tests::thing;
+    use crate::scene::{Instance, Structure, Support};
+
+    #[test]
+    fn a_row_is_counted_from_its_free_side() {
+        // Three stools along a wall at y = 2, at y = -2, and in the open; ids 1 to 3 by X.
+        let leftmost = |y: f32, convention| {
+            let mut instances: Vec<Instance> = (1..=3)
+                .map(|id| thing(id, [id as f32 - 2.0, y], [0.4, 0.4, 0.45], 0.0, Support::Floor, [90, 60, 40]))
+                .collect();
+            let ends = [(4, -2.3), (5, 2.3)];
+            let walls = ends.map(|(id, y)| thing(id, [0.0, y], [7.0, 0.1, 2.6], 0.0, Support::Floor, [200; 3]));
+            instances.extend(walls.map(|wall| Instance { structure: Some(Structure::Wall), ..wall }));
+            instances.iter_mut().for_each(|i| i.given_name = i.structure.is_none().then(|| "stool".into()));
+            let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+            let names = NameIndex::of(&instances);
+            let scene = SceneView { instances: &instances, extent, names: &names, appearance: None };
+            let answer = ground(scene, &Question { convention, ..Question::of("the stool on the far left") }).answer;
+            let from_before = answer.explanation.contains("as who stands before them sees them");
+            (answer.predicted_id.map(|id| id.0), from_before)
+        };
+        assert_eq!(leftmost(2.0, DirectionConvention::Paper), (Some(1), true));
+        assert_eq!(leftmost(-2.0, DirectionConvention::Paper).0, Some(3), "by the convention too");
+        assert_eq!(leftmost(0.0, DirectionConvention::Paper), (Some(3), false), "in the open by the convention");
+        assert_eq!(leftmost(-2.0, DirectionConvention::Viewer), (Some(1), false), "who chose a convention has it");
+    }
+}

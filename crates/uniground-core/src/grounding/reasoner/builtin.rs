@@ -341,67 +341,6 @@ mod tests {
     }
 
     #[test]
-    fn a_row_is_counted_from_its_free_side() {
-        // Three stools along a wall at y = 2, at y = -2, and in the open; ids 1 to 3 by X.
-        let leftmost = |y: f32, convention| {
-            let mut instances: Vec<Instance> = (1..=3)
-                .map(|id| thing(id, [id as f32 - 2.0, y], [0.4, 0.4, 0.45], 0.0, Support::Floor, [90, 60, 40]))
-                .collect();
-            let ends = [(4, -2.3), (5, 2.3)];
-            let walls = ends.map(|(id, y)| thing(id, [0.0, y], [7.0, 0.1, 2.6], 0.0, Support::Floor, [200; 3]));
-            instances.extend(walls.map(|wall| Instance { structure: Some(Structure::Wall), ..wall }));
-            instances.iter_mut().for_each(|i| i.given_name = i.structure.is_none().then(|| "stool".into()));
-            let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-            let names = NameIndex::of(&instances);
-            let scene = SceneView { instances: &instances, extent, names: &names, appearance: None };
-            let answer = ground(scene, &Question { convention, ..Question::of("the stool on the far left") }).answer;
-            let from_before = answer.explanation.contains("as who stands before them sees them");
-            (answer.predicted_id.map(|id| id.0), from_before)
-        };
-        assert_eq!(leftmost(2.0, DirectionConvention::Paper), (Some(1), true));
-        assert_eq!(leftmost(-2.0, DirectionConvention::Paper).0, Some(3), "by the convention too");
-        assert_eq!(leftmost(0.0, DirectionConvention::Paper), (Some(3), false), "in the open by the convention");
-        assert_eq!(leftmost(-2.0, DirectionConvention::Viewer), (Some(1), false), "who chose a convention has it");
-    }
-
-    #[test]
-    fn whom_the_words_may_mean_is_told() {
-        // Two desks at opposite ends, two mugs between them: which mug is left depends on the desk that is faced.
-        let named = |id: u32, at: [f32; 2], size: [f32; 3], name: &str| {
-            let bottom = if name == "mug" { 0.5 } else { 0.0 };
-            Instance { given_name: Some(name.into()), ..thing(id, at, size, bottom, Support::Floor, [90, 60, 40]) }
-        };
-        let desk = [1.4, 0.7, 0.75];
-        let mug = [0.1; 3];
-        let instances = [
-            named(1, [0.0, 2.0], desk, "desk"),
-            named(2, [0.0, -2.0], desk, "desk"),
-            named(3, [-0.5, 0.0], mug, "mug"),
-            named(4, [0.5, 0.0], mug, "mug"),
-        ];
-        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
-        let names = NameIndex::of(&instances);
-        let ask = |query: &str| ground(SceneView { instances: &instances, extent, names: &names, appearance: None }, &Question::of(query));
-        let either = ask("facing the desk, the mug on the left");
-        assert_eq!(either.answer.predicted_id, Some(InstanceId(3)));
-        assert!(
-            either.answer.explanation.contains("instance 1 (brown desk), though 2 may be meant"),
-            "{}",
-            either.answer.explanation
-        );
-        // A window at one end leaves no doubt.
-        let mut with_window = instances.to_vec();
-        with_window.push(named(5, [0.0, 2.4], [1.5, 0.1, 1.2], "window"));
-        let names = NameIndex::of(&with_window);
-        let sure = ground(
-            SceneView { instances: &with_window, extent, names: &names, appearance: None },
-            &Question::of("facing the window, the mug on the left"),
-        );
-        assert_eq!(sure.answer.predicted_id, Some(InstanceId(3)));
-        assert!(sure.confidence > 1.2 * either.confidence, "{} {}", sure.confidence, either.confidence);
-    }
-
-    #[test]
     fn several_things_are_several_targets_with_their_count() {
         for (query, ids) in [
             ("how many mugs are there?", vec![4, 5]),

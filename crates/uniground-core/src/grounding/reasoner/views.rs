@@ -75,3 +75,49 @@ fn towards_the_target(assessor: &Assessor, viewpoint: &Viewpoint, standpoint: Op
     let middle = assessor.middle_of(target).filter(|_| viewpoint.look == Look::Facing)?;
     Directions::looking_along(middle - stands)
 }
+
+#[cfg(test)]
+mod tests {
+    use crate::geometry::boxes::Aabb;
+    use crate::geometry::{Point3, Vector3};
+    use crate::grounding::{NameIndex, Question, SceneView, ground};
+    use crate::models::attributes::tests::thing;
+    use crate::scene::{Instance, InstanceId, Support};
+
+    #[test]
+    fn whom_the_words_may_mean_is_told() {
+        // Two desks at opposite ends, two mugs between them: which mug is left depends on the desk that is faced.
+        let named = |id: u32, at: [f32; 2], size: [f32; 3], name: &str| {
+            let bottom = if name == "mug" { 0.5 } else { 0.0 };
+            Instance { given_name: Some(name.into()), ..thing(id, at, size, bottom, Support::Floor, [90, 60, 40]) }
+        };
+        let desk = [1.4, 0.7, 0.75];
+        let mug = [0.1; 3];
+        let instances = [
+            named(1, [0.0, 2.0], desk, "desk"),
+            named(2, [0.0, -2.0], desk, "desk"),
+            named(3, [-0.5, 0.0], mug, "mug"),
+            named(4, [0.5, 0.0], mug, "mug"),
+        ];
+        let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+        let names = NameIndex::of(&instances);
+        let ask = |query: &str| ground(SceneView { instances: &instances, extent, names: &names, appearance: None }, &Question::of(query));
+        let either = ask("facing the desk, the mug on the left");
+        assert_eq!(either.answer.predicted_id, Some(InstanceId(3)));
+        assert!(
+            either.answer.explanation.contains("instance 1 (brown desk), though 2 may be meant"),
+            "{}",
+            either.answer.explanation
+        );
+        // A window at one end leaves no doubt.
+        let mut with_window = instances.to_vec();
+        with_window.push(named(5, [0.0, 2.4], [1.5, 0.1, 1.2], "window"));
+        let names = NameIndex::of(&with_window);
+        let sure = ground(
+            SceneView { instances: &with_window, extent, names: &names, appearance: None },
+            &Question::of("facing the window, the mug on the left"),
+        );
+        assert_eq!(sure.answer.predicted_id, Some(InstanceId(3)));
+        assert!(sure.confidence > 1.2 * either.confidence, "{} {}", sure.confidence, either.confidence);
+    }
+}
