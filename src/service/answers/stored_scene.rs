@@ -142,7 +142,11 @@ impl SceneSource for StoredScene {
     }
 
     async fn keep_names(&self, names: &BTreeMap<u32, String>) -> Result<(), Error> {
-        self.service.keep_names(&self.parse.id, names).await
+        // They were given beside an answer that was paid for: that one is not lost with them.
+        if let Err(error) = self.service.keep_names(&self.parse.id, names).await {
+            tracing::warn!(parse_id = self.parse.id, error = &error as &dyn std::error::Error, "names that a model gave are not kept");
+        }
+        Ok(())
     }
 
     fn cut_out(&self, place: Place, is_not: &[InstanceId]) -> Result<Option<Instance>, Error> {

@@ -5,11 +5,12 @@ use super::{OF_EVERYBODY, OF_KEY, today};
 use crate::metrics::Metrics;
 use crate::service::Caller;
 use crate::service::keys::KnownKey;
-use crate::store::{Allowance, Short, Store, Wish};
+use crate::store::{Allowance, Short, Store, StoreError, Wish};
 use futures::FutureExt;
 use futures::future::BoxFuture;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+use tokio::time::sleep;
 use tracing::{Instrument, field};
 use uniground_core::models::chat::{ChatError, ChatFailure, ChatModel, ChatReply, ChatRequest, OverBudget, Prices};
 use uniground_core::models::with_causes;
@@ -23,6 +24,10 @@ const UNREADABLE: &str = "unreadable";
 const NOT_ASKED: &str = "not_asked";
 /// Whoever asked left before there was an answer.
 const ABANDONED: &str = "abandoned";
+
+/// How long a call waits for a database that is away, and how often it looks.
+const DATABASE_IS_BACK: Duration = Duration::from_secs(30);
+const LOOK_AGAIN: Duration = Duration::from_secs(1);
 
 fn outcome_of(answered: &Result<ChatReply, ChatFailure>) -> &'static str {
     match answered {
@@ -99,7 +104,7 @@ impl Metered {
         let (day, key_id) = (today(), self.key.as_ref().map(|key| &*key.row.id));
         let wish = Wish { day: &day, usd: thought_usd, key_id, daily_usd: self.daily_usd, key_daily_usd };
         let never_asked = |error| ChatFailure { error, attempts: 0, lost: 0, latency_ms: 0.0 };
-        let reserved = self.store.reserve_spending(id, &wish).await;
+        let reserved = self.reserve(id, &wish).await;
         let reserved = reserved.map_err(|error| never_asked(ChatError::NotRecordable(with_causes(&error))))?;
         if let Err(Short { whose, limit_usd, left_usd }) = reserved {
             let of = if whose == Allowance::OfKey { OF_KEY } else { OF_EVERYBODY };
@@ -111,6 +116,17 @@ impl Metered {
         call.open = call.open.take().map(|(id, _)| (id, prices.paid_usd(request, &outcome)));
         call.settle().await;
         outcome
+    }
+
+    /// Puts money aside. In the middle of a question, whose first call was paid, the database may be away for a moment.
+    async fn reserve(&self, id: &str, wish: &Wish<'_>) -> Result<Result<(), Short>, StoreError> {
+        let start = Instant::now();
+        loop {
+            match self.store.reserve_spending(id, wish).await {
+                Err(error) if error.is_busy() && start.elapsed() < DATABASE_IS_BACK => sleep(LOOK_AGAIN).await,
+                reserved => return reserved,
+            }
+        }
     }
 
     fn count(&self, outcome: &'static str, attempts: u32, start: Instant, usd: f64) {
