@@ -80,7 +80,7 @@ def storm(table, fleet, database, crowd, model, items):
     for why, what in ((LATE, "made again: begun by a process that had lost its lease, or because of that"), (KEPT, "made again after the answer was kept"),
                       (NOTHING, "made again for no reason")):
         # One that stood still may send once more what it had begun to ask, in the moment before it knows that it was forgotten.
-        most = sum(one.how == STOPPED for one in fleet.disturbances) if why == LATE else 0
+        most = sum(one.how == STOPPED for one in fleet.disturbances) // 4 if why == LATE else 0
         table.row(what, len(told[why]), f"at most {most}" if most else "0", len(told[why]) <= most)
         for call in told[why][:3]:
             same = [other for other in calls if (other.question, other.turn) == (call.question, call.turn)]
