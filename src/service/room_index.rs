@@ -3,7 +3,7 @@
 
 use super::Service;
 use crate::error::Error;
-use crate::store::{FoundEntry, RoomEntry, SceneRow, Seen, ToIndex};
+use crate::store::{FoundEntry, RoomEntry, SceneFilter, SceneRow, Seen, ToIndex};
 use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -51,7 +51,9 @@ impl Service {
                     Ok(()) => {}
                     // It went meanwhile.
                     Err(_) if self.store.changes_of_parse(&room.parse_id).await?.is_none() => {}
-                    Err(error @ (Error::Store(_) | Error::Io(_))) => return Err(error),
+                    // Its time comes: the database, the object store or the disk can not be used now.
+                    Err(error) if error.is_disk_full() || ["storage_busy", "blobs_busy"].contains(&error.code()) => return Err(error),
+                    // One that is damaged does not keep the others waiting.
                     Err(error) => {
                         tracing::warn!(room.parse_id, error = &error as &dyn std::error::Error, "a room can not be found among many");
                         self.store.index_room(room, &[]).await?;
@@ -112,21 +114,14 @@ impl Service {
         }
         if chosen.is_empty() {
             // Nothing tells: the newest are as good as any.
-            let filter = crate::store::SceneFilter { ids: None, labels: labels.clone() };
+            let filter = SceneFilter { ids: None, labels: labels.clone() };
             return Ok(self.store.scenes(most as u32, None, &filter).await?);
         }
         let rank: HashMap<&str, usize> = chosen.iter().enumerate().map(|(rank, room)| (room.as_str(), rank)).collect();
         // A room that was uploaded again and again does not keep the others out.
         let scenes = self.store.scenes_of_parses(&chosen, labels, SAME_ROOM).await?;
-        let mut times: HashMap<String, u32> = HashMap::new();
-        let mut scenes: Vec<((u32, usize), SceneRow)> = scenes
-            .into_iter()
-            .map(|scene| {
-                let parse = scene.parse_id.as_deref().unwrap_or_default();
-                let time = times.entry(parse.to_owned()).and_modify(|time| *time += 1).or_default();
-                ((*time, rank.get(parse).copied().unwrap_or(usize::MAX)), scene)
-            })
-            .collect();
+        let rank_of = |scene: &SceneRow| scene.parse_id.as_deref().and_then(|parse| rank.get(parse).copied());
+        let mut scenes: Vec<_> = scenes.into_iter().map(|(place, scene)| ((place, rank_of(&scene)), scene)).collect();
         scenes.sort_by_key(|(place, _)| *place);
         scenes.truncate(most);
         Ok(scenes.into_iter().map(|(_, scene)| scene).collect())
@@ -172,8 +167,7 @@ impl Service {
             }
         };
         let Some(vector) = vector else { return Ok(Vec::new()) };
-        let near = self.store.rooms_near(&name, &vector, labels, most as u32).await?;
-        Ok(near.into_iter().map(|(room, _)| room).collect())
+        Ok(self.store.rooms_near(&name, &vector, labels, most as u32).await?)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Which of many rooms are worth a look: what their things are called, by name, and where a database can (`vectors`) what they look like.
 
 use super::{Labels, SceneRow, Store, StoreError};
-use sqlx::AssertSqlSafe;
+use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeSet;
 
 /// A parse whose index is not of what is known of it now.
@@ -89,7 +89,7 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn rooms_with(&self, name: &str, colour: Option<&str>, labels: &Labels, most: u32) -> Result<Vec<FoundEntry>, StoreError> {
-        let is_meant = self.is_meant("parse_id", "$3");
+        let is_meant = self.is_meant("$3");
         let sql = format!(
             "SELECT parse_id, colour, weight FROM room_entries AS entry WHERE name = $1 AND ($2 IS NULL OR colour = $2) AND {is_meant}
              ORDER BY weight DESC, parse_id DESC LIMIT $4"
@@ -106,26 +106,27 @@ impl Store {
             .collect())
     }
 
-    /// The condition that a parse is one of a scene with these labels.
-    pub(super) fn is_meant(&self, parse_id: &str, labels: &str) -> String {
+    /// The condition that the parse of an `entry` is one of a scene with these labels.
+    pub(super) fn is_meant(&self, labels: &str) -> String {
         let is_filed_so = self.engine.contains("scenes.labels", labels);
-        format!("EXISTS (SELECT 1 FROM scenes WHERE scenes.parse_id = entry.{parse_id} AND {is_filed_so})")
+        format!("EXISTS (SELECT 1 FROM scenes WHERE scenes.parse_id = entry.parse_id AND {is_filed_so})")
     }
 
-    /// Scenes that these parses are of, the newest of each first, then the second of each: at most so many of one.
+    /// Scenes that these parses are of, at most so many of one: each with its place among those of its parse, the newest first.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn scenes_of_parses(&self, parses: &[String], labels: &Labels, most_of_one: u32) -> Result<Vec<SceneRow>, StoreError> {
+    pub async fn scenes_of_parses(&self, parses: &[String], labels: &Labels, most_of_one: u32) -> Result<Vec<(i64, SceneRow)>, StoreError> {
         let (among, is_filed_so) = (self.engine.values_of("$1"), self.engine.contains("scenes.labels", "$2"));
         let sql = format!(
             "SELECT * FROM (SELECT scenes.*, row_number() OVER (PARTITION BY parse_id ORDER BY id DESC) AS place FROM scenes
-             WHERE parse_id IN {among} AND {is_filed_so}) AS placed WHERE place <= $3 ORDER BY place, id DESC"
+             WHERE parse_id IN {among} AND {is_filed_so}) AS placed WHERE place <= $3"
         );
-        let query = sqlx::query_as(AssertSqlSafe(sql))
+        let query = sqlx::query(AssertSqlSafe(sql))
             .bind(serde_json::to_string(parses)?)
             .bind(serde_json::to_string(labels)?);
-        Ok(query.bind(i64::from(most_of_one)).fetch_all(&self.reader).await?)
+        let rows = query.bind(i64::from(most_of_one)).fetch_all(&self.reader).await?;
+        rows.iter().map(|row| Ok((row.try_get("place")?, SceneRow::from_row(row)?))).collect()
     }
 
     /// Forgets names that no room's thing has any more.

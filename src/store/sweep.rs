@@ -127,11 +127,17 @@ impl Store {
         for content in contents {
             let hash = content.file_name().unwrap_or_default().to_owned();
             for taken in self.blobs.set_aside(vec![content.clone()]).await? {
-                if self.unknown("contents", vec![hash.clone()]).await?.is_empty() {
-                    tracing::warn!(hash, "a content was uploaded again while its last scene was removed: it stays");
-                    self.blobs.put_back(taken, content.clone()).await?;
-                } else {
-                    aside.push(taken);
+                match self.unknown("contents", vec![hash.clone()]).await {
+                    Ok(unknown) if !unknown.is_empty() => aside.push(taken),
+                    // Where nobody can tell it is for the sweep.
+                    claimed => {
+                        tracing::warn!(
+                            hash,
+                            is_known = claimed.is_ok(),
+                            "a content may have been uploaded again while its last scene was removed: it stays"
+                        );
+                        self.blobs.put_back(taken, content.clone()).await?;
+                    }
                 }
             }
         }
@@ -187,5 +193,34 @@ impl Store {
             Ok::<_, io::Error>((removed, bytes))
         });
         Ok(removed.await.map_err(io::Error::other)??)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::{BlobHome, Location};
+    use super::*;
+    use camino::Utf8Path;
+
+    /// Who stood still between rows and folders finds what others have done meanwhile.
+    #[tokio::test]
+    async fn what_has_a_row_again_is_put_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let data = Utf8Path::from_path(folder.path()).unwrap();
+        let store = Store::open(data, &Location::Folder, &BlobHome::Folder).await.unwrap();
+        let [again, gone] = ["a", "b"].map(|hash| store.blobs.content(hash));
+        let make = |place: &Utf8Path| {
+            fs::create_dir_all(place).unwrap();
+            fs::write(place.join("cloud.ply"), place.as_str()).unwrap();
+        };
+        [&again, &gone].map(|place| make(place));
+        let row = sqlx::query("INSERT INTO contents (hash, bytes, created_at) VALUES ('a', 1, $1)").bind(now());
+        row.execute(store.writer.pool()).await.unwrap();
+        drop(store.set_aside(vec![again.clone(), gone.clone()]).await.unwrap());
+        assert!(fs::read_to_string(again.join("cloud.ply")).unwrap() == again.as_str() && !gone.exists());
+        make(&gone);
+        store.quarantine(vec![("contents", "a".into()), ("contents", "b".into())]).await.unwrap();
+        assert!(again.join("cloud.ply").exists() && !gone.exists());
+        assert!(data.join("quarantine").join(&now()[..10]).join("contents/b/cloud.ply").exists());
     }
 }

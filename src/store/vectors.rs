@@ -101,15 +101,15 @@ impl Store {
         Ok(tx.commit().await?)
     }
 
-    /// Rooms that have something near a vector, best first, with its cosine; nothing where no vectors are kept.
+    /// Rooms that have something near a vector (unit length), the nearest first; nothing where no vectors are kept.
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn rooms_near(&self, encoder: &str, vector: &[f32], labels: &Labels, most: u32) -> Result<Vec<(String, f64)>, StoreError> {
+    pub async fn rooms_near(&self, encoder: &str, vector: &[f32], labels: &Labels, most: u32) -> Result<Vec<String>, StoreError> {
         if !self.has_vectors().await? {
             return Ok(Vec::new());
         }
-        let (dim, is_meant) = (vector.len(), self.is_meant("parse_id", "$2"));
+        let (dim, is_meant) = (vector.len(), self.is_meant("$2"));
         // The encoder stands in the statement: an index of a part of the table is used where the condition is its own.
         let sql = format!(
             "SELECT parse_id, max(cosine) AS cosine FROM (
@@ -124,9 +124,9 @@ impl Store {
             .bind(literal(vector))
             .bind(serde_json::to_string(labels)?)
             .bind(i64::from(most));
-        let near = near.fetch_all(&mut *reader).await?;
+        let near: Vec<(String, f64)> = near.fetch_all(&mut *reader).await?;
         reader.rollback().await?;
-        Ok(near)
+        Ok(near.into_iter().map(|(room, _)| room).collect())
     }
 }
 

@@ -37,6 +37,8 @@ microscope, camera, tripod, easel, candle, candlestick, lantern, umbrella, suitc
 aquarium, birdcage, dog bed, cat tree, sewing machine, loom, typewriter, gramophone, radio, jukebox, dartboard, pool table, treadmill, dumbbell, yoga mat,
 punching bag, trophy, medal, flag, map, whiteboard, projector, filing cabinet, safe, shredder, scanner, server rack, router, cash register, mannequin,
 wine rack, barrel, anvil, sword, shield, totem, sundial, weather vane, theremin, astrolabe""".replace("\n", " ").split(", ")
+# Words that the tiny encoder of the tests knows.
+KNOWN = ["chair", "table", "sofa", "lamp", "plant", "mug", "book", "box", "door", "window", "desk", "laptop", "clock"]
 COLOURS = ["", "", "", "red ", "blue ", "green ", "white ", "black ", "brown "]
 # Things of a room, and rooms that one question may name.
 THINGS, NAMED = 12, 1000
@@ -49,7 +51,7 @@ def fill(rooms):
     return f"""
 SELECT setseed(0.5);
 CREATE TABLE things AS SELECT row_number() OVER (ORDER BY id) AS k, body::jsonb - 'support' - 'views' - 'things' - 'level' AS body FROM instances
-    WHERE body::jsonb -> 'structure' IS NULL OR body::jsonb ->> 'structure' IS NULL LIMIT {THINGS};
+    WHERE body::jsonb ->> 'structure' IS NULL LIMIT {THINGS};
 CREATE TABLE names AS SELECT row_number() OVER () AS n, name FROM unnest(ARRAY[{names}]) AS name;
 INSERT INTO parses (id, content_hash, settings_hash, settings, models, import_report, parse_report, extent, created_at, record_version)
     SELECT {ID}, content_hash, 'room ' || i, settings, jsonb_set(models::jsonb, '{{encoder}}', '"none"')::text, import_report, parse_report, extent, created_at,
@@ -131,12 +133,11 @@ def by_looks(table, database, connection, log, words):
     time.sleep(1)
     with log.open(encoding="utf-8", errors="replace") as lines:
         lines.seek(at)
-        statements = re.findall(r"execute [^:]*: (SELECT parse_id, max\(cosine\).*?)\n[^\t\n]*DETAIL:  [Pp]arameters: (.*)", lines.read(), re.S)
-    # The tiny encoder of the tests knows few words.
-    table.row("statements that look for vectors, in the log", len(statements), "some", len(statements) > 0)
+        statements = re.findall(r"execute [^:]*: (SELECT parse_id, max\(cosine\).*?)\n[^\t\n]*DETAIL:  [Pp]arameters: ([^\n]*)", lines.read(), re.S)
+    table.equal("statements that look for vectors, in the log", len(statements), len(words))
     found, wanted, took = 0, 0, []
     for statement, parameters in statements:
-        for number, value in re.findall(r"\$(\d+) = '((?:[^']|'')*)'", parameters.split("\n")[0]):
+        for number, value in re.findall(r"\$(\d+) = '((?:[^']|'')*)'", parameters):
             statement = statement.replace(f"${number}", f"'{value}'")
         one, all_of_them = near(database, statement, "on"), near(database, statement, "off")
         found, wanted = found + len(one[0] & all_of_them[0]), wanted + len(all_of_them[0])
@@ -181,7 +182,7 @@ def run(table, options, folder):
         time.sleep(11)
         ids = [row["id"] for row in database.rows("SELECT id FROM scenes ORDER BY id")]
         by_names(table, connection, ids, asked(options.questions))
-        by_looks(table, database, connection, options.log, NAMES[:40])
+        by_looks(table, database, connection, options.log, KNOWN)
         table.equal("exit code after SIGTERM", server.terminate(), 0)
 
 
