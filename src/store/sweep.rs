@@ -213,7 +213,8 @@ mod tests {
             fs::create_dir_all(place).unwrap();
             fs::write(place.join("cloud.ply"), place.as_str()).unwrap();
         };
-        [&again, &gone].map(|place| make(place));
+        make(&again);
+        make(&gone);
         let row = sqlx::query("INSERT INTO contents (hash, bytes, created_at) VALUES ('a', 1, $1)").bind(now());
         row.execute(store.writer.pool()).await.unwrap();
         drop(store.set_aside(vec![again.clone(), gone.clone()]).await.unwrap());
