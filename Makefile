@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers
+.PHONY: web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -103,6 +103,9 @@ bench-scale: ## Stage 1 on one to eight rooms side by side, and how soon it stop
 
 bench-language: ## Reading questions, and deciding them over 200 and 5,000 instances
 	$(CARGO) bench --locked --quiet --bench language
+
+bench-programs: ## Readings of people's sentences beside the programs of ZSVG3D (PROGRAMS=folder with nr3d_val.json, scanrefer_val.json)
+	$(CARGO) bench --locked --quiet --bench programs -- $(PROGRAMS)
 
 bench-approach: ## A place to stand, and the graph of a scene, in halls of five million points
 	$(CARGO) bench --locked --quiet --bench approach

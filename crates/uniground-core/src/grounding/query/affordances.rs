@@ -180,7 +180,9 @@ fn find_at(words: &[&str], mut start: usize) -> Option<Affordance> {
 /// Whether a thing is followed by what it is for, soon: "something soft to sit on", not "the thing on the table".
 fn names_a_purpose(words: &[&str], opener: usize) -> bool {
     const SOON: usize = 5;
-    !is_thing(words[opener - 1]) || words[opener..].iter().take(SOON).any(|word| is_purpose(word))
+    // "the object is a chair with ...": it is told what it is.
+    let told = words.get(opener) == Some(&"is");
+    !is_thing(words[opener - 1]) || !told && words[opener..].iter().take(SOON).any(|word| is_purpose(word))
 }
 
 /// The words of a purpose that none of the uses found for it is said with: of "put a toddler for lunch", "put on" says the first only.
@@ -286,6 +288,7 @@ mod tests {
             "what is on the table",
             "where is the backpack?",
             "the thing in the middle of the dining table",
+            "the object is a chair with its back to the camera",
             "",
         ] {
             assert_eq!(find(&tokens(query)), None, "{query}");

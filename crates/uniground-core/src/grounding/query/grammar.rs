@@ -181,6 +181,8 @@ impl Reader {
         } else if of && words::is_part_of_furniture(&before) && matches!(frame.role, Role::Anchor { .. }) {
             // "over the headboard of the bed" is over the bed.
             head.clone_into(&mut frame.phrase.head);
+        } else if of && words::is_measure(head) {
+            // "the box at the top of the stack": told by the side.
         } else if of && !words::is_measure(&before) && !words::is_part(&before) {
             // "the bowl of apples" is a bowl.
             frame.phrase.unchecked.push(head.to_owned());
@@ -271,14 +273,20 @@ impl Reader {
                     self.push(Role::With { absent: false });
                 }
             }
-            Meaning::OfTarget => self.unwind(0),
+            // What it is comes next: "it is facing the door" speaks of the thing, not of somebody.
+            Meaning::OfTarget => {
+                self.unwind(0);
+                self.top();
+            }
             Meaning::Determiner => {
                 let of = self.of;
                 let frame = self.top();
                 frame.indefinite |= frame.is_empty() && matches!(text, "a" | "an" | "some" | "any");
                 let another = !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
                 frame.another = another;
-                if another && self.awaits_target() {
+                // "facing the mural the table": a noun nobody knows has come.
+                let unknown = frame.phrase.head.is_empty() && !frame.unknown.is_empty() && !of;
+                if (another || unknown) && self.awaits_target() {
                     self.unwind(1);
                 }
             }

@@ -13,6 +13,7 @@ mod parsers;
 mod pieces;
 mod relation_kinds;
 mod rewrites;
+mod sides;
 mod situations;
 mod tokens;
 mod vlm;

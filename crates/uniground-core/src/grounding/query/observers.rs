@@ -2,6 +2,7 @@
 //! look at the TV" is "when you stand at the sofa when you face the TV".
 
 use super::tokens::BREAK;
+use crate::models::attributes::Lexicon;
 
 /// What somebody does.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -73,6 +74,10 @@ fn clause(tokens: &[String], starts: bool, somebody: bool) -> Option<(&'static [
     while OPENERS.contains(&word(i)) {
         (opened, i) = (true, i + 1);
     }
+    // "they are under the counter" speaks of things.
+    if !opened && matches!(word(i), "he" | "he's" | "they" | "they're") {
+        return None;
+    }
     let with_be = SUBJECTS_WITH_BE.contains(&word(i));
     let subject = with_be || SUBJECTS.contains(&word(i));
     i += usize::from(subject);
@@ -111,6 +116,11 @@ fn clause(tokens: &[String], starts: bool, somebody: bool) -> Option<(&'static [
     match act {
         // At a table one faces it, on a sofa one has it at one's back.
         Act::Be if sits && word(i) == "at" => Some((&["when", "you", "sit", "at"], i + 1)),
+        // "standing in the middle of the room": where everybody stands.
+        Act::Be if at(tokens, i).is_some_and(|(_, length)| is_room(tokens, length)) => {
+            let length = at(tokens, i).map_or(i, |(_, length)| length);
+            Some((&[], length + if ROOMS.contains(&word(length)) { 1 } else { 2 }))
+        }
         Act::Be => at(tokens, i).or((word(i) == "facing" || word(i) == "and" && LOOK.contains(&word(i + 1))).then_some((&[][..], i))),
         Act::Look if plain && !TOWARDS.contains(&word(i)) => Some((&["when", "you", "face"], i)),
         Act::Look if word(i) == "from" => Some((&["when", "you", "stand", "at"], i + 1)),
@@ -141,6 +151,13 @@ fn clause(tokens: &[String], starts: bool, somebody: bool) -> Option<(&'static [
             }
         }
     }
+}
+
+/// Whether the room itself is named at `i`, and no door or wall of it.
+fn is_room(tokens: &[String], i: usize) -> bool {
+    let word = |i: usize| tokens.get(i).map_or("", String::as_str);
+    let room = i + usize::from(matches!(word(i), "the" | "this"));
+    ROOMS.contains(&word(room)) && !Lexicon::get().knows(word(room + 1))
 }
 
 /// Where somebody is, by the preposition at `i`: in front of a thing they look at it.
@@ -175,6 +192,8 @@ mod tests {
             ("sitting at the desk, the lamp on the left", "when you sit at the desk , the lamp on the left"),
             ("standing at the door and looking at the radiators", "when you stand at the door when you face the radiators"),
             ("the chair facing the window", "the chair facing the window"),
+            ("standing in the middle of the room this table is on the right", "this table is on the right"),
+            ("there are cabinets. they are under the counter", "there are cabinets , they are under the counter"),
             ("the cat sitting on the sofa", "the cat sitting on the sofa"),
             ("look for the chair", "look for the chair"),
             ("i need the chair at the table", "i need the chair at the table"),

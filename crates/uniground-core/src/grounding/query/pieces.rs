@@ -37,15 +37,29 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
         // Nothing in the tables spans a break.
         let run: Vec<&str> = tokens[at..].iter().map(String::as_str).take_while(|t| *t != BREAK).collect();
         let noun = longest_noun(&run);
-        // "the right monitor", "the one on the right": "right" alone before a noun tells a side, elsewhere it says "directly".
         let word = match (run[0], words::longest(&run)) {
-            ("left" | "right", Some((Meaning::Filler, 1)) | None) if run.len() == 1 || longest_noun(&run[1..]).is_some() => {
+            // "the right monitor", "the one on the right": "right" alone before a noun tells a side, elsewhere it says "directly".
+            ("left" | "right", Some((Meaning::Filler, 1)) | None) if run.len() == 1 || noun_follows(&run[1..]) => {
                 let side = if run[0] == "left" { Measure::Leftmost } else { Measure::Rightmost };
                 Some((Meaning::Superlative(side), 1))
             }
+            ("top" | "bottom" | "center" | "centre", None) if noun_follows(&run[1..]) => {
+                let end = match run[0] {
+                    "top" => Measure::Highest,
+                    "bottom" => Measure::Lowest,
+                    _ => Measure::Middle,
+                };
+                Some((Meaning::Superlative(end), 1))
+            }
+            // "the monitor on the right desk" is on a desk.
+            ("on" | "in" | "at", Some((Meaning::Superlative(_), length))) if run[1] == "the" && noun_follows(&run[length..]) => {
+                words::longest(&run[..1])
+            }
             (_, word) => word,
         };
-        at += match (noun, word) {
+        // "the lamp stands by the door", "the can", "what you can see": a noun only where one may come.
+        let a_verb = WORDS_AND_NOUNS.contains(&run[0]) && word.is_some_and(|(_, length)| length == 1) && !awaits_noun(pieces.last());
+        at += match (noun.filter(|&length| length > 1 || !a_verb), word) {
             (Some(length), word) if word.is_none_or(|(_, w)| length >= w) => {
                 pieces.push(Piece::Noun(run[..length].join(" ")));
                 length
@@ -61,6 +75,35 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
         };
     }
     pieces
+}
+
+/// Nouns that are as often a verb or say nothing.
+const WORDS_AND_NOUNS: [&str; 3] = ["can", "stands", "present"];
+
+/// Whether a noun may come after a piece: "the", "red".
+fn awaits_noun(piece: Option<&Piece>) -> bool {
+    matches!(
+        piece,
+        None | Some(
+            Piece::Unknown(_)
+                | Piece::Word(
+                    Meaning::Determiner
+                        | Meaning::Colour(_)
+                        | Meaning::Trait(_)
+                        | Meaning::Number(_)
+                        | Meaning::Ordinal(_)
+                        | Meaning::Superlative(_),
+                    _
+                )
+        )
+    )
+}
+
+/// Whether a noun follows, with or without colours and the like before it.
+fn noun_follows(run: &[&str]) -> bool {
+    let describes = |word: &&&str| matches!(words::longest(&[word]), Some((Meaning::Colour(_) | Meaning::Trait(_), 1)));
+    let described = run.iter().take_while(describes).count();
+    longest_noun(&run[described..]).is_some()
 }
 
 /// Length in words of the longest noun at the start.

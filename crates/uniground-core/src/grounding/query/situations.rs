@@ -93,7 +93,9 @@ fn is_of_themselves(clause: &[String]) -> bool {
 }
 
 fn asks(clause: &[String]) -> bool {
-    clause.first().is_some_and(|word| ASKS.contains(&word.as_str()))
+    // "it is a window. Is directly above the bed": told, not asked.
+    let tells = matches!(clause, [is, next, ..] if is == "is" && matches!(words::longest(&[next]), Some((Meaning::Relation(_) | Meaning::Filler, _))) && next != "there");
+    !tells && clause.first().is_some_and(|word| ASKS.contains(&word.as_str()))
 }
 
 #[cfg(test)]
@@ -117,6 +119,7 @@ mod tests {
             ("the chair by the door, find it", "the chair by the door , find it"),
             ("My chair is by the door, where is it?", "my chair is by the door , where is it ,"),
             ("I am cold", "i am cold"),
+            ("It is a window. Is directly above the bed", "it is a window , is directly above the bed"),
         ] {
             assert_eq!(left_out(tokens(said)).join(" "), left, "{said}");
         }

@@ -163,6 +163,9 @@ pub(super) fn is_anything(head: &str) -> bool {
             | "somewhere"
             | "place"
             | "device"
+            | "option"
+            | "selection"
+            | "choice"
     )
 }
 
@@ -176,6 +179,9 @@ pub(super) fn is_measure(head: &str) -> bool {
             | "pile"
             | "stack"
             | "group"
+            | "grouping"
+            | "cluster"
+            | "line"
             | "bunch"
             | "piece"
             | "couple"

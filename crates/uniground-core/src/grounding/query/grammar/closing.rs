@@ -23,10 +23,12 @@ impl Reader {
         {
             anchor.head.clone_from(&target.head);
         }
-        // "facing the two wardrobes, the one on the right": one of those.
-        if let Some(viewpoint) = self.query.viewpoint.as_ref().filter(|_| matches!(target.head.as_str(), "one" | "ones")) {
-            target.head.clone_from(&viewpoint.anchor.head);
-            target.uses.clone_from(&viewpoint.anchor.uses);
+        if let Some(meant) = one_of(&target, self.query.viewpoint.as_ref()) {
+            target.head.clone_from(&meant.head);
+            target.uses.clone_from(&meant.uses);
+            // What it is one of is where it is, unless that is a thing of its own.
+            target.relations.retain(|relation| !relation.anchors.contains(&meant));
+            target.with.retain(|with| with.phrase != meant);
         }
         // "counting from the left, the fourth": said after what it counts.
         if let (Some(rank), Some(superlative)) = (self.ordinal, &mut target.superlative)
@@ -180,6 +182,43 @@ impl Reader {
             .relations
             .push(Relation { kind: kind.inverse(), text, anchors: vec![more], negated, rank: 1 });
     }
+}
+
+/// What "the one on the right" is one of: of the wardrobes somebody faces, of the pictures on the wall it is on, of the group it is in.
+fn one_of(target: &Phrase, viewpoint: Option<&Viewpoint>) -> Option<Phrase> {
+    let said = matches!(target.head.as_str(), "one" | "ones");
+    if !(said || target.head.is_empty()) || !target.uses.is_empty() {
+        return None;
+    }
+    let several = |phrase: &&Phrase| phrase.count.is_some_and(|count| count > 1) || Lexicon::get().is_plural(&phrase.head);
+    let faced = viewpoint.map(|viewpoint| &viewpoint.anchor);
+    let picked = target.superlative.is_some();
+    // "the wall with five windows", "the wall of windows"
+    let made_of = |phrase: &Phrase| {
+        let plural = phrase.unchecked.iter().find(|word| Lexicon::get().is_plural(word));
+        plural.map(|word| Phrase { head: word.clone(), ..Phrase::default() })
+    };
+    let within = |phrase: &Phrase| phrase.with.iter().map(|with| &with.phrase).find(several).cloned().or_else(|| made_of(phrase));
+    if let Some(meant) = faced
+        .and_then(within)
+        .or_else(|| faced.filter(several).cloned())
+        .or_else(|| faced.filter(|_| said).cloned())
+    {
+        return Some(meant).filter(|_| said || picked);
+    }
+    let anchors = || target.relations.iter().flat_map(|relation| &relation.anchors);
+    let group = target
+        .relations
+        .iter()
+        .filter(|relation| relation.kind == RelationKind::Inside)
+        .flat_map(|relation| &relation.anchors);
+    // "along the wall with five shelves it is the second": nobody said "the one with five shelves".
+    let own = || within(target).filter(|_| !said);
+    anchors()
+        .find_map(within)
+        .or_else(|| group.into_iter().find(several).cloned())
+        .or_else(own)
+        .filter(|_| picked)
 }
 
 /// Whether two phrases may name the same thing: "armchair" and "chair".

@@ -1,0 +1,322 @@
+//! How sentences that people wrote are read, beside the visual programs of ZSVG3D: `make bench-programs PROGRAMS=folder`, or
+//! `cargo bench --bench programs -- [--list target|anchor|relation] [--of 4] [--rest 0] FOLDER`.
+//!
+//! The folder holds `nr3d_val.json` and `scanrefer_val.json` of the public repository `CurryYuan/ZSVG3D`: for each sentence a program that a
+//! chat model wrote, `BOX0=LOC(object='chair')`, `TARGET=CLOSEST(targets=BOX0, anchors=BOX1)`. They are for measuring only and no part of
+//! this project; of the scenes only those with an even number from 100 on are read, the others are kept for whoever judges this.
+//! `--of 4 --rest 2` takes scenes 4n + 2 only. What is compared:
+//!
+//! - **target**: the noun of what the last statement leads to through `targets`;
+//! - **anchors**: of each `LOC` that the way there names as an anchor, whether the reading has something of that noun besides the target;
+//! - **relation**: of each operation on the way, whether the reading says one of those in [`MEANT`] of the target. Operations that are not
+//!   listed there are not compared, and counted.
+//!
+//! Programs are often wrong ("in front of a chair" becomes `RIGHT`), so relations are counted once more where the sentence has a word of
+//! the operation ([`SAID`]).
+
+#![allow(missing_docs, clippy::unwrap_used)] // a bench that can not set up has nothing to measure
+
+use camino::Utf8PathBuf;
+use comfy_table::{Table, presets};
+use serde::Deserialize;
+use std::collections::{BTreeMap, BTreeSet};
+use uniground_core::grounding::query::{Measure, ParsedQuery, Phrase, RelationKind, Trait, parse};
+use uniground_core::models::attributes::Lexicon;
+
+/// Operations, and what a reading may say instead of each: a kind of relation, a superlative or a trait by its word.
+const MEANT: [(&str, &[&str]); 24] = [
+    ("CLOSEST", &["closest", "near", "around", "leaning", "against_wall", "in_corner", "on", "inside"]),
+    ("NEAR", &["closest", "near", "around", "leaning", "on", "inside"]),
+    ("FARTHEST", &["farthest", "far", "opposite"]),
+    ("LEFT", &["left_of", "leftmost"]),
+    ("RIGHT", &["right_of", "rightmost"]),
+    ("LEFTMOST", &["left_of", "leftmost"]),
+    ("RIGHTMOST", &["right_of", "rightmost"]),
+    ("FRONT", &["in_front_of", "frontmost", "facing"]),
+    ("IN_FRONT_OF", &["in_front_of", "frontmost", "facing"]),
+    ("BEHIND", &["behind", "backmost"]),
+    ("BETWEEN", &["between", "middle", "around"]),
+    ("MID", &["middle", "in_middle", "between"]),
+    ("HIGHER", &["above", "on", "highest", "tallest", "tall", "largest"]),
+    ("ABOVE", &["above", "on", "highest"]),
+    ("ON", &["above", "on", "inside"]),
+    ("ON_TOP", &["above", "on", "inside"]),
+    ("HIGHEST", &["highest", "tallest", "tall", "above"]),
+    ("LOWER", &["below", "lowest", "carrying", "inside", "low", "shortest"]),
+    ("UNDER", &["below", "lowest", "carrying"]),
+    ("LOWEST", &["lowest", "below", "shortest", "low"]),
+    ("MAX", &["largest", "tallest", "large", "tall", "long", "highest", "light"]),
+    ("MIN", &["smallest", "shortest", "small", "low", "lowest", "dark"]),
+    ("OPPOSITE", &["opposite", "facing", "in_front_of"]),
+    ("FACING", &["opposite", "facing", "in_front_of"]),
+];
+
+/// Beginnings of words of which a sentence has one where it tells the operation.
+const SAID: [(&str, &[&str]); 12] = [
+    ("LEFT", &["left"]),
+    ("RIGHT", &["right"]),
+    ("FRONT", &["front"]),
+    ("BEHIND", &["behind", "back"]),
+    ("BETWEEN", &["between", "middle", "among", "surround"]),
+    ("MID", &["middle", "center", "centre", "between"]),
+    ("HIGHER", &["above", "over", "top", "upper", "on", "hang", "higher", "tall", "mount"]),
+    ("HIGHEST", &["top", "upper", "highest", "high", "tall"]),
+    ("LOWER", &["under", "below", "beneath", "lower", "bottom"]),
+    ("LOWEST", &["bottom", "lowest", "lower", "short"]),
+    ("FARTHEST", &["far", "furth"]),
+    (
+        "CLOSEST",
+        &["close", "near", "next", "by", "beside", "adjacent", "against", "at", "along", "alongside", "around"],
+    ),
+];
+
+#[derive(Deserialize)]
+struct Sentence {
+    scan_id: String,
+    caption: String,
+    program: String,
+}
+
+impl Sentence {
+    /// "scene0678_00" is 678.
+    fn scene(&self) -> u32 {
+        self.scan_id.trim_start_matches("scene").split('_').next().unwrap().parse().unwrap()
+    }
+}
+
+/// What a program says of its target.
+#[derive(Debug, Default)]
+struct Program {
+    target: String,
+    anchors: BTreeSet<String>,
+    operations: BTreeSet<String>,
+}
+
+/// The words that `key=` is given: a name, or several in brackets.
+fn argument<'a>(call: &'a str, key: &str) -> Option<&'a str> {
+    let start = call.find(&format!("{key}="))? + key.len() + 1;
+    let rest = &call[start..];
+    match rest.as_bytes().first()? {
+        b'[' => rest[1..].split(']').next(),
+        _ => rest.split([',', ')']).next(),
+    }
+    .map(str::trim)
+}
+
+impl Program {
+    /// `None` where the last statement leads to nothing that is located.
+    fn of(text: &str) -> Option<Self> {
+        let statements: Vec<(&str, &str)> = text
+            .lines()
+            .filter_map(|line| line.split_once('=').map(|(name, call)| (name.trim(), call.trim())))
+            .collect();
+        let mut program = Self::default();
+        let last = statements.len().checked_sub(1)?;
+        program.follow(&statements, last, false);
+        (!program.target.is_empty()).then_some(program)
+    }
+
+    fn follow(&mut self, statements: &[(&str, &str)], at: usize, anchor: bool) {
+        let call = statements[at].1;
+        let operation = call.split('(').next().unwrap_or_default();
+        let named = |name: &str| statements[..at].iter().rposition(|(said, _)| *said == name.trim());
+        if operation == "LOC" {
+            let object = call.split_once(['\'', '"']).map_or("", |(_, rest)| rest.trim_end_matches([')', '\'', '"']));
+            if anchor {
+                self.anchors.insert(object.to_owned());
+            } else {
+                object.clone_into(&mut self.target);
+            }
+            return;
+        }
+        if !anchor {
+            self.operations.insert(operation.to_owned());
+        }
+        let targets = ["targets", "data", "values", "boxes"].iter().find_map(|key| argument(call, key));
+        if let Some(at) = targets.and_then(|names| names.split(',').find_map(named)) {
+            self.follow(statements, at, anchor);
+        }
+        for at in argument(call, "anchors").into_iter().flat_map(|names| names.split(',')).filter_map(named) {
+            self.follow(statements, at, true);
+        }
+    }
+}
+
+/// Whether a reading's noun is that of a program's phrase: the same word, the same thing of the lexicon, or a word of the phrase's end.
+fn agrees(head: &str, said: &str) -> bool {
+    let meant = parse(said).target;
+    let lexicon = Lexicon::get();
+    let things = |word: &str| lexicon.find_all(word).iter().map(|noun| noun.name.clone()).collect::<BTreeSet<_>>();
+    let one = |word: &str| word.strip_suffix('s').unwrap_or(word).to_owned();
+    let same = |a: &str, b: &str| !a.is_empty() && (one(a) == one(b) || !things(a).is_disjoint(&things(b)));
+    let last = said.split(' ').next_back().unwrap_or_default();
+    same(head, &meant.head) || same(head, last) || same(head.split(' ').next_back().unwrap_or_default(), last)
+}
+
+/// Every thing a phrase names besides its own.
+fn others<'a>(phrase: &'a Phrase, into: &mut Vec<&'a Phrase>) {
+    let carried = phrase.with.iter().map(|with| &with.phrase);
+    for other in phrase.relations.iter().flat_map(|relation| &relation.anchors).chain(carried) {
+        into.push(other);
+        others(other, into);
+    }
+}
+
+/// All that a reading says of its target, in words of [`MEANT`].
+fn said_of_target(read: &ParsedQuery) -> BTreeSet<&'static str> {
+    let phrases = [Some(&read.target), read.other_reading.as_ref()];
+    let of = |phrase: &Phrase| {
+        let relations = phrase.relations.iter().map(|relation| relation.kind.word());
+        let traits = phrase.traits.iter().map(|seen| seen.word());
+        relations
+            .chain(traits)
+            .chain(phrase.superlative.map(|superlative| superlative.measure.word()))
+            .collect::<Vec<_>>()
+    };
+    phrases.into_iter().flatten().flat_map(of).collect()
+}
+
+/// So many of so many.
+#[derive(Default, Clone, Copy)]
+struct Share {
+    right: u32,
+    of: u32,
+}
+
+impl Share {
+    fn count(&mut self, right: bool) {
+        self.right += u32::from(right);
+        self.of += 1;
+    }
+    fn shown(self) -> String {
+        format!("{:.3} of {}", f64::from(self.right) / f64::from(self.of.max(1)), self.of)
+    }
+}
+
+#[derive(Default)]
+struct Agreement {
+    target: Share,
+    anchors: Share,
+    relations: Share,
+    relations_said: Share,
+    uncompared: BTreeMap<String, u32>,
+    by_operation: BTreeMap<&'static str, (Share, Share)>,
+}
+
+fn compare(sentence: &Sentence, list: Option<&str>, agreement: &mut Agreement) {
+    let Some(program) = Program::of(&sentence.program) else { return };
+    let read = parse(&sentence.caption);
+    let disagreed = |class: &str, what: &str| {
+        if list == Some(class) {
+            let anchors: Vec<String> = {
+                let mut all = Vec::new();
+                others(&read.target, &mut all);
+                all.iter().map(|phrase| phrase.text()).collect()
+            };
+            println!(
+                "{what}\t{}\t[{}] {anchors:?} {:?} ?{:?}",
+                sentence.caption,
+                read.target.text(),
+                said_of_target(&read),
+                read.not_understood
+            );
+        }
+    };
+    let target = agrees(&read.target.head, &program.target);
+    agreement.target.count(target);
+    if !target {
+        disagreed("target", &program.target);
+    }
+    let mut named: Vec<&Phrase> = Vec::new();
+    others(&read.target, &mut named);
+    if let Some(other) = &read.other_reading {
+        others(other, &mut named);
+    }
+    let seen_from = read.viewpoint.iter().map(|viewpoint| &viewpoint.anchor).chain(&read.standpoint);
+    named.extend(seen_from);
+    for anchor in &program.anchors {
+        let found = named.iter().any(|phrase| agrees(&phrase.head, anchor));
+        agreement.anchors.count(found);
+        if !found {
+            disagreed("anchor", anchor);
+        }
+    }
+    let said = said_of_target(&read);
+    let words = sentence.caption.to_lowercase();
+    for operation in &program.operations {
+        let Some((operation, meant)) = MEANT.iter().find(|(known, _)| known == operation) else {
+            *agreement.uncompared.entry(operation.clone()).or_default() += 1;
+            continue;
+        };
+        let right = meant.iter().any(|word| said.contains(word));
+        let (all, told) = agreement.by_operation.entry(operation).or_default();
+        agreement.relations.count(right);
+        all.count(right);
+        let is_said = SAID.iter().find(|(known, _)| known == operation).is_none_or(|(_, beginnings)| {
+            words
+                .split(|c: char| !c.is_alphanumeric())
+                .any(|word| beginnings.iter().any(|beginning| word.starts_with(beginning)))
+        });
+        if is_said {
+            agreement.relations_said.count(right);
+            told.count(right);
+            if !right {
+                disagreed("relation", operation);
+            }
+        }
+    }
+}
+
+fn main() {
+    // A word of `MEANT` that no reading can say would be counted as wrong for ever.
+    let known: Vec<&str> = RelationKind::ALL
+        .iter()
+        .map(|kind| kind.word())
+        .chain(Measure::ALL.iter().map(|measure| measure.word()))
+        .chain(Trait::ALL.iter().map(|seen| seen.word()))
+        .collect();
+    assert!(MEANT.iter().flat_map(|(_, words)| *words).all(|word| known.contains(word)));
+    let (mut folder, mut list, mut of, mut rest) = (None, None, 2, 0);
+    let mut args = std::env::args().skip(1).filter(|arg| arg != "--bench");
+    while let Some(arg) = args.next() {
+        match arg.as_str() {
+            "--read" => {
+                println!("{:#?}", parse(&args.next().unwrap()));
+                return;
+            }
+            "--list" => list = args.next(),
+            "--of" => of = args.next().unwrap().parse().unwrap(),
+            "--rest" => rest = args.next().unwrap().parse().unwrap(),
+            path => folder = Some(Utf8PathBuf::from(path)),
+        }
+    }
+    let Some(folder) = folder else {
+        println!("left out: no folder with nr3d_val.json and scanrefer_val.json was given (make bench-programs PROGRAMS=folder)");
+        return;
+    };
+    let mut table = Table::new();
+    table.load_preset(presets::ASCII_MARKDOWN);
+    table.set_header(["sentences", "target", "anchors", "relation", "relation, where it is said"]);
+    let mut by_operation = Table::new();
+    by_operation.load_preset(presets::ASCII_MARKDOWN);
+    by_operation.set_header(["sentences", "operation", "agrees", "where it is said"]);
+    for file in ["nr3d_val", "scanrefer_val"] {
+        let sentences: Vec<Sentence> =
+            serde_json::from_str(&std::fs::read_to_string(folder.join(format!("{file}.json"))).unwrap()).unwrap();
+        let open = sentences
+            .iter()
+            .filter(|sentence| sentence.scene() >= 100 && sentence.scene().is_multiple_of(2) && sentence.scene() % of == rest);
+        let mut agreement = Agreement::default();
+        open.for_each(|sentence| compare(sentence, list.as_deref(), &mut agreement));
+        let Agreement { target, anchors, relations, relations_said, uncompared, by_operation: operations } = agreement;
+        table.add_row([file.to_owned(), target.shown(), anchors.shown(), relations.shown(), relations_said.shown()]);
+        for (operation, (all, told)) in operations {
+            by_operation.add_row([file, operation, &all.shown(), &told.shown()]);
+        }
+        println!(
+            "{file}, not compared: {}",
+            uncompared.iter().map(|(name, n)| format!("{name} {n}")).collect::<Vec<_>>().join(", ")
+        );
+    }
+    println!("{table}\n{by_operation}");
+}
