@@ -10,7 +10,7 @@ use super::observers;
 use super::pieces::{Piece, address, is_bare_noun, is_filler, noun_to_come, pieces};
 use super::rewrites::rewritten;
 use super::situations;
-use super::tokens::tokens;
+use super::tokens::{spelling, tokens};
 use super::words::{self, Meaning};
 use super::{Look, ME, Measure, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Superlative};
 
@@ -56,6 +56,8 @@ struct Frame {
     another: bool,
     /// "a", "an", "some" before the noun.
     indefinite: bool,
+    /// Any article before the noun: what comes after it is no verb.
+    determined: bool,
 }
 
 /// Reads a query. Never fails: what is not understood is listed.
@@ -286,8 +288,13 @@ impl Reader {
                 frame.another = another;
                 // "facing the mural the table": a noun nobody knows has come.
                 let unknown = frame.phrase.head.is_empty() && !frame.unknown.is_empty() && !of;
+                let determined = frame.determined;
+                frame.determined |= frame.is_empty();
                 if (another || unknown) && self.awaits_target() {
                     self.unwind(1);
+                } else if unknown && determined {
+                    self.name_by_unknown();
+                    self.top().another = true;
                 }
             }
             Meaning::All => {
@@ -296,7 +303,8 @@ impl Reader {
                 }
             }
             Meaning::Filler => self.filler(text),
-            Meaning::OfLast => {}
+            // "the slim case that is squeezed in": what was said before names it.
+            Meaning::OfLast => self.name_by_unknown(),
             Meaning::ThereIs => {
                 self.unwind(0);
                 self.there_is = self.target.is_some();
@@ -311,6 +319,17 @@ impl Reader {
             let described = !(phrase.colours.is_empty() && phrase.traits.is_empty() && unknown.is_empty());
             described && phrase.head.is_empty() && phrase.uses.is_empty() && phrase.relations.is_empty()
         })
+    }
+
+    /// Makes the last of the words that nothing explains the noun of the innermost phrase: none other can come.
+    fn name_by_unknown(&mut self) {
+        let Some(frame) = self.stack.last_mut().filter(|frame| frame.phrase.head.is_empty() && frame.phrase.uses.is_empty()) else {
+            return;
+        };
+        if let Some(word) = frame.unknown.pop() {
+            frame.phrase.head = spelling(&word).map_or(word, str::to_owned);
+            frame.phrase.unchecked.append(&mut frame.unknown);
+        }
     }
 
     /// Words that carry something in some places only.
@@ -414,7 +433,7 @@ const ITSELF: &str = "it";
 
 impl Frame {
     fn new(role: Role) -> Self {
-        Self { phrase: Phrase::default(), role, unknown: Vec::new(), another: false, indefinite: false }
+        Self { phrase: Phrase::default(), role, unknown: Vec::new(), another: false, indefinite: false, determined: false }
     }
 
     fn is_empty(&self) -> bool {

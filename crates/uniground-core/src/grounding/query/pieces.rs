@@ -1,6 +1,6 @@
 //! Tokens to pieces: nouns of the lexicon, words of the grammar, and the rest.
 
-use super::tokens::BREAK;
+use super::tokens::{BREAK, joined};
 use super::words::{self, Meaning};
 use super::{Measure, zones};
 use crate::models::attributes::Lexicon;
@@ -36,6 +36,13 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
         }
         // Nothing in the tables spans a break.
         let run: Vec<&str> = tokens[at..].iter().map(String::as_str).take_while(|t| *t != BREAK).collect();
+        if let [first, second, ..] = run[..]
+            && let Some(noun) = joined(first, second)
+        {
+            pieces.push(Piece::Noun(noun.to_owned()));
+            at += 2;
+            continue;
+        }
         let noun = longest_noun(&run);
         let word = match (run[0], words::longest(&run)) {
             // "the right monitor", "the one on the right": "right" alone before a noun tells a side, elsewhere it says "directly".

@@ -51,8 +51,11 @@ const TWO_SLIPS_FROM_CHARS: usize = 8;
 /// The noun of the lexicon a misspelt word was meant to be: "refridgerator". `None` when no single one is near.
 pub(super) fn spelling(word: &str) -> Option<&'static str> {
     let length = word.chars().count();
-    if length < MIN_SLIP_CHARS || !word.is_ascii() || WordNet::get().is_english(word) {
+    if !word.is_ascii() || WordNet::get().is_english(word) {
         return None;
+    }
+    if length < MIN_SLIP_CHARS {
+        return doubled(word);
     }
     let allowed = if length >= TWO_SLIPS_FROM_CHARS { 2 } else { 1 };
     let near = |known: &'static str| {
@@ -63,6 +66,26 @@ pub(super) fn spelling(word: &str) -> Option<&'static str> {
     let mut found: Vec<(usize, &str)> = Lexicon::get().words().filter(|w| w.len() >= MIN_SLIP_CHARS - 1).filter_map(near).collect();
     found.sort_unstable();
     found.first().map(|(_, known)| *known)
+}
+
+/// The noun that a short word becomes with one letter doubled: "bal".
+fn doubled(word: &str) -> Option<&'static str> {
+    (1..=word.len())
+        .filter_map(|i| Lexicon::get().word(&format!("{}{}", &word[..i], &word[i - 1..])))
+        .next()
+}
+
+/// The noun that two words make which somebody wrote apart: "wheel barow". Of two that are English only as it stands.
+pub(super) fn joined(first: &str, second: &str) -> Option<&'static str> {
+    let lexicon = Lexicon::get();
+    let of_the_grammar = |word: &str| words::longest(&[word]).is_some();
+    if of_the_grammar(first) || of_the_grammar(second) || lexicon.knows(&format!("{first} {second}")) {
+        return None;
+    }
+    let whole = format!("{first}{second}");
+    lexicon
+        .word(&whole)
+        .or_else(|| (!WordNet::get().is_english(second) && !lexicon.knows(second)).then(|| spelling(&whole))?)
 }
 
 /// The word of the grammar a misspelt one was meant to be: "somethng". `None` for English words, and for nouns of the lexicon.
@@ -106,6 +129,12 @@ mod tests {
         assert_eq!(spelling("refrigeratr"), Some("refrigerator"));
         assert_eq!(spelling("tabel"), Some("table"));
         assert_eq!(spelling("bookcse"), Some("bookcase"));
+        assert_eq!(spelling("bal"), Some("ball"));
+        assert_eq!(joined("wheel", "barow"), Some("wheelbarrow"));
+        assert_eq!(joined("book", "case"), None, "known as it stands");
+        for (first, second) in [("red", "chair"), ("the", "bed"), ("chair", "table"), ("lamp", "xyzzy")] {
+            assert_eq!(joined(first, second), None, "{first} {second}");
+        }
         for word in ["theremin", "quaternion", "xyz", "hat", "wine"] {
             assert_eq!(spelling(word), None, "{word}");
         }

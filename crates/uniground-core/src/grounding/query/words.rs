@@ -155,6 +155,7 @@ pub(super) fn is_anything(head: &str) -> bool {
             | "one"
             | "something"
             | "anything"
+            | "everything"
             | "ones"
             | "things"
             | "objects"

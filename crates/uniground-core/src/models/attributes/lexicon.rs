@@ -196,6 +196,12 @@ impl Lexicon {
         singulars(word).iter().any(|w| self.by_word.contains_key(w))
     }
 
+    /// A word that leads to a noun, as the lexicon writes it.
+    #[must_use]
+    pub fn word(&self, word: &str) -> Option<&str> {
+        self.by_word.get_key_value(word).map(|(known, _)| known.as_str())
+    }
+
     /// Whether a word is the plural of one that leads to a noun: "chairs", not "curtains" where these are an entry of their own.
     #[must_use]
     pub fn is_plural(&self, word: &str) -> bool {

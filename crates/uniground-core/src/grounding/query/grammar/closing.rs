@@ -4,7 +4,7 @@ use super::{Frame, ITSELF, Reader, Role};
 use crate::grounding::query::tokens::spelling;
 use crate::grounding::query::words;
 use crate::grounding::query::{Look, ME, Meaning, ParsedQuery, Phrase, Quantity, Relation, RelationKind, Viewpoint, With};
-use crate::models::attributes::Lexicon;
+use crate::models::attributes::{Lexicon, WordNet};
 
 /// The use of seats in the lexicon.
 const SIT_ON: &str = "sit on";
@@ -79,7 +79,7 @@ impl Reader {
 
     /// Closes the innermost phrase and puts it where it belongs.
     pub(super) fn pop(&mut self) {
-        let Some(Frame { mut phrase, role, unknown, another: _, indefinite }) = self.stack.pop() else { return };
+        let Some(Frame { mut phrase, role, unknown, another: _, indefinite, determined: _ }) = self.stack.pop() else { return };
         // "the nearer of the two": compared with what? With where somebody stands.
         if matches!(role, Role::Anchor { .. })
             && phrase.is_empty()
@@ -135,7 +135,9 @@ impl Reader {
     fn settle_head(&mut self, phrase: &mut Phrase, mut unknown: Vec<String>, role: Role) {
         if phrase.head.is_empty() && phrase.uses.is_empty() && role != Role::More {
             // "the cat sleeping on the sofa" is a cat.
-            let noun = unknown.iter().rposition(|word| !word.ends_with("ing") && !word.contains(' '));
+            let is_thing = |word: &String| !WordNet::get().kinds_of(word).is_empty();
+            let things = unknown.iter().rposition(is_thing);
+            let noun = things.or_else(|| unknown.iter().rposition(|word| !word.ends_with("ing") && !word.contains(' ')));
             let last = unknown.len().checked_sub(1);
             if let Some(word) = noun.or(last).map(|i| unknown.remove(i)) {
                 phrase.head = spelling(&word).map_or(word, str::to_owned);
@@ -155,6 +157,12 @@ impl Reader {
             self.target = Some(more);
             return;
         };
+        // "The grass is high again. Which machine do I take": nothing was named that anybody knows, and now something is.
+        let of_it = more.relations.iter().any(|relation| relation.anchors.iter().any(|anchor| anchor.head == ITSELF));
+        if target.meaning() == Meaning::Unknown && matches!(more.meaning(), Meaning::Nouns(_)) && !of_it {
+            *target = more;
+            return;
+        }
         // "over at the table, the chair": where it is was said first.
         let unnamed = words::is_anything(&target.head) && target.uses.is_empty();
         let same = unnamed || words::is_anything(&more.head) || more.head == target.head || same_thing(&more, target);

@@ -113,7 +113,8 @@ impl Reader {
             return;
         }
         // "facing the wall left monitor"
-        if (matches!(text, "left" | "right") || text.starts_with("the ")) && self.awaits_target() {
+        let named = self.stack.last().is_some_and(|frame| !frame.is_empty());
+        if (matches!(text, "left" | "right") || text.starts_with("the ")) && named && self.awaits_target() {
             self.unwind(1);
         }
         let rank = self.ordinal.take().unwrap_or(1);
