@@ -10,6 +10,7 @@ use super::solid::Solid;
 use crate::geometry::colour::{ColourName, lab_of_srgb};
 use crate::models::attributes::{self, Noun, noun_fit};
 use crate::scene::{Instance, Level, Support};
+use std::collections::HashSet;
 
 /// A name seldom says all that can be said.
 const UNSAID: f32 = 0.8;
@@ -58,6 +59,11 @@ pub fn noun_fits(scene: SceneView, phrase: &Phrase) -> Vec<f32> {
 
 fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<f32> {
     let by_appearance = |word: &str, index: usize, measured| scene.appearance.and_then(|appearance| appearance.fit(word, index, measured));
+    // The same for all instances: of a purpose there are dozens of nouns.
+    let (breadths, names): (Vec<f32>, HashSet<&str>) = match meaning {
+        Meaning::Nouns(nouns) => nouns.iter().enumerate().map(|(i, noun)| (breadth(phrase, noun, i), noun.name.as_str())).unzip(),
+        _ => Default::default(),
+    };
     let unnamed = |(index, instance): (usize, &Instance)| match meaning {
         // A word without measures: only its looks tell.
         Meaning::Unknown if instance.structure.is_none() => by_appearance(&phrase.head, index, None).unwrap_or(0.0),
@@ -71,19 +77,17 @@ fn fits_of_reading(scene: SceneView, phrase: &Phrase, meaning: &Meaning) -> Vec<
         }
         Meaning::Structure(structure) => f32::from(u8::from(instance.structure == Some(*structure))),
         Meaning::Nouns(nouns) => {
-            let measured = nouns.iter().map(|noun| noun_fit(noun, instance));
-            let looks = |(noun, measured): (&&Noun, f32)| by_appearance(&noun.name, index, Some(measured));
             let (mut by_measure, mut by_looks) = (0.0_f32, None::<f32>);
-            for (i, (noun, measured)) in nouns.iter().zip(measured).enumerate() {
-                let breadth = breadth(phrase, noun, i);
+            for (noun, breadth) in nouns.iter().zip(&breadths) {
+                let measured = noun_fit(noun, instance);
                 by_measure = by_measure.max(measured * breadth);
-                by_looks = looks((noun, measured))
+                by_looks = by_appearance(&noun.name, index, Some(measured))
                     .map(|fit| by_looks.map_or(fit * breadth, |best| best.max(fit * breadth)))
                     .or(by_looks);
             }
             // Looks have been weighed against all other names, measures have not.
             let guessed = if instance.level == Level::Thing { 1.0 } else { GUESSED };
-            by_looks.unwrap_or_else(|| guessed * by_measure * among_names(by_measure, nouns, instance).sqrt())
+            by_looks.unwrap_or_else(|| guessed * by_measure * among_names(by_measure, &names, instance).sqrt())
         }
     };
     let fit = |(index, instance): (usize, &Instance)| match (scene.names.get(index), meaning) {
@@ -108,11 +112,11 @@ fn notable(instance: &Instance) -> f32 {
     (sides[1] / NOTABLE_M).clamp(0.3, 1.0)
 }
 
-/// How likely an instance is one of `nouns` rather than what its other names say: a table may have a sofa's size.
-fn among_names(fit: f32, nouns: &[&Noun], instance: &Instance) -> f32 {
+/// How likely an instance is called one of `names` rather than what its other guesses say: a table may have a sofa's size.
+fn among_names(fit: f32, names: &HashSet<&str>, instance: &Instance) -> f32 {
     let (mut own, mut others) = (0.0, 0.0);
     for guess in &instance.names {
-        if nouns.iter().any(|noun| noun.name == guess.name) { own += guess.score } else { others += guess.score }
+        if names.contains(guess.name.as_str()) { own += guess.score } else { others += guess.score }
     }
     let own = fit.max(own);
     if own > 0.0 { own / (own + others) } else { 0.0 }
