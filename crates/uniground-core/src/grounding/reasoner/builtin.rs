@@ -300,6 +300,16 @@ mod tests {
     }
 
     #[test]
+    fn what_an_answer_stands_on_is_told_where_it_is_called_otherwise() {
+        // No cabinet is there: the table has the size of one.
+        let answer = ask("the blue mug on the cabinet").answer;
+        assert_eq!((answer.predicted_id, answer.anchor_id), (Some(InstanceId(5)), Some(InstanceId(3))), "{}", answer.explanation);
+        assert!(answer.explanation.contains(", taken for \"cabinet\")"), "{}", answer.explanation);
+        let as_called = ask("the blue mug on the table").answer.explanation;
+        assert!(!as_called.contains("taken for \"table\""), "{as_called}");
+    }
+
+    #[test]
     fn whose_left_is_meant_is_told_where_it_is_not_the_convention_s() {
         // By the paper's convention +X is left; who faces the table from the middle of the room has +X on the right.
         for (query, faced) in [("the red sofa left of the table", true), ("the red sofa right of the table", false)] {

@@ -4,10 +4,11 @@ use crate::grounding::SceneView;
 use crate::grounding::answer::{described, superlative_words};
 use crate::grounding::assess::{Assessment, Assessor};
 use crate::grounding::fit::{colours_fit, most_plausible};
-use crate::grounding::query::{Meaning, ParsedQuery, Phrase};
+use crate::grounding::query::{Meaning, ParsedQuery, Phrase, Relation, RelationKind};
 use crate::grounding::readings::Readings;
 use crate::grounding::relations::SeenBy;
 use crate::models::attributes;
+use crate::scene::Instance;
 use std::fmt::Write;
 
 /// "Instance 13 (brown chair, 0.45 x 0.48 x 0.90 m) is taken for "chair" (0.93), is brown (0.80); closest to instance 2
@@ -44,10 +45,23 @@ pub(super) fn explain(assessor: &Assessor, phrase: &Phrase, read: &Assessment, b
                 let anchor = &instances[a];
                 let gap = assessor.solids[best].gap(&assessor.solids[a]);
                 let (name, score) = (described(anchor), bond.score);
+                // "(grey wall, taken for "door")": whoever reads it sees what the answer stands on.
+                let mistaken = relation
+                    .anchors
+                    .first()
+                    .filter(|said| assessor.scene.names.get(a).is_none() && !is_called(anchor, said));
+                let taken = mistaken.map_or_else(String::new, |said| format!(", taken for \"{}\"", said.head));
                 let faced = relation.kind.is_a_side() && assessor.at_side(relation.kind, best, a).1 == SeenBy::WhoFacesIt;
                 let seen = if faced { " as who faces it sees it" } else { "" };
-                let _ = write!(text, "; {not}{} instance {} ({name}){seen}, {gap:.2} m apart{of} ({score:.2})", relation.text, anchor.id);
+                let _ = write!(
+                    text,
+                    "; {not}{} instance {} ({name}{taken}){seen}, {gap:.2} m apart{of} ({score:.2})",
+                    in_words(relation),
+                    anchor.id
+                );
             }
+            // Said of nothing: it can not have decided.
+            None if relation.anchors.is_empty() && !relation.kind.is_of_the_room() => {}
             None => {
                 let _ = write!(text, "; {not}{} ({:.2})", relation.text, bond.score);
             }
@@ -67,6 +81,26 @@ pub(super) fn explain(assessor: &Assessor, phrase: &Phrase, read: &Assessment, b
     }
     text.push('.');
     text
+}
+
+/// "further away" is further away from something.
+fn in_words(relation: &Relation) -> String {
+    let preposition = match relation.kind {
+        RelationKind::Closest => " to",
+        RelationKind::Farthest => " from",
+        _ => "",
+    };
+    let ends = [" to", " from", " of", " by"].iter().any(|word| relation.text.ends_with(word));
+    format!("{}{}", relation.text, if ends { "" } else { preposition })
+}
+
+/// Whether measures call a thing what a phrase says, before anything else.
+fn is_called(instance: &Instance, said: &Phrase) -> bool {
+    match said.meaning() {
+        Meaning::Anything | Meaning::Unknown => true,
+        Meaning::Structure(structure) => instance.structure == Some(structure),
+        Meaning::Nouns(nouns) => instance.names.first().is_none_or(|guess| nouns.iter().any(|noun| noun.name == guess.name)),
+    }
 }
 
 pub(super) fn explain_several(scene: SceneView, target: &Phrase, several: &[usize]) -> String {
