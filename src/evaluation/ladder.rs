@@ -19,7 +19,7 @@ use uniground_core::scene_parsing::superpoints::{self, Superpoints};
 use uniground_core::scene_parsing::views::{Labelled, Sighted};
 use uniground_core::scene_parsing::visibility::Visibility;
 use uniground_core::scene_parsing::{
-    ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging, planes, refinement, views,
+    ParseError, ParsingSettings, frame_sampling, hierarchy, instances, merging, part_merging, planes, refinement, standing, views,
 };
 
 /// What one step leaves of each object.
@@ -93,12 +93,13 @@ pub fn climb(room: &AnnotatedRoom, masks: &dyn MaskSource, settings: &ParsingSet
     let merged = merging::merge(&superpoints, &planes, &tables, &settings.merging, &quiet)?;
     let mut any: Option<InstanceScore> = None;
     let labels = |region_of: &[u32]| region_of.iter().max().map_or(0, |&r| r as usize + 1);
-    let joined = part_merging::join(cloud, &superpoints, merged.last().to_vec(), &settings.part_merging, &quiet)?;
+    let freed = standing::set_free(cloud, &superpoints, &planes, merged.last().to_vec(), settings.merging.min_points, &quiet)?;
+    let joined = part_merging::join(cloud, &superpoints, &planes, freed.clone(), &settings.part_merging, &quiet)?;
     let steps = settings.merging.thresholds.iter().map(|threshold| format!("merged at {threshold}"));
     let steps = steps
         .chain(["small ones absorbed".to_owned()])
         .zip(&merged.levels)
-        .chain([("parts joined".to_owned(), &joined)]);
+        .chain([("what stands on tops set free".to_owned(), &freed), ("parts joined".to_owned(), &joined)]);
     for (step, region_of) in steps {
         let here = score(region_of)?;
         let pieces = labels(region_of);

@@ -97,7 +97,7 @@ fn shared(a: &[u32], b: &[u32]) -> Vec<u32> {
     a.iter().copied().filter(|s| b.binary_search(s).is_ok()).collect()
 }
 
-/// Regions on the way to those of `region_of`.
+/// Regions on the way to those of `region_of` that lie in one of them: what stood in a table was set free of it since.
 fn parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec<Proposal> {
     let mut found: BTreeMap<Vec<u32>, f32> = BTreeMap::new();
     for level in &levels.levels {
@@ -109,7 +109,8 @@ fn parts(levels: &Regions, region_of: &[u32], tables: &[FrameVisibility]) -> Vec
     }
     let of = |(superpoints, agreement): (Vec<u32>, f32)| {
         let regions = vec![region_of[*superpoints.first()? as usize]];
-        Some(Proposal { level: Level::Part, superpoints, regions, agreement })
+        let lies_in_it = superpoints.iter().all(|&s| region_of[s as usize] == regions[0]);
+        lies_in_it.then_some(Proposal { level: Level::Part, superpoints, regions, agreement })
     };
     found.into_iter().filter_map(of).collect()
 }

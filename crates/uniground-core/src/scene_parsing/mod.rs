@@ -29,6 +29,7 @@ pub mod refinement;
 pub mod relief;
 pub mod report_pictures;
 pub mod sharpness;
+pub mod standing;
 mod stopwatch;
 pub mod superpoints;
 pub mod views;
@@ -254,8 +255,11 @@ fn group(
         Ok::<_, ParseError>(regions)
     })?;
     let region_of = watch.time("part_merging", |outcome| {
-        let joined =
-            part_merging::join(cloud, superpoints, regions.last().to_vec(), &settings.part_merging, &progress.part(ends[3], ends[4]))?;
+        let freed = match settings.part_merging.enabled {
+            false => regions.last().to_vec(),
+            true => standing::set_free(cloud, superpoints, &planes, regions.last().to_vec(), settings.merging.min_points, progress)?,
+        };
+        let joined = part_merging::join(cloud, superpoints, &planes, freed, &settings.part_merging, &progress.part(ends[3], ends[4]))?;
         outcome.produced = count(&joined);
         Ok::<_, ParseError>(joined)
     })?;

@@ -1,9 +1,11 @@
 //! Part merging: what furniture is made of joins again.
 //!
-//! Masks cut a chair where its seat and back meet in a valley, and a table off its legs. Three things hold in any room and
-//! need no model: what is slender and carries something is a leg or a pole of it; a plate that stands on the rim of something
+//! Masks cut a chair where its seat and back meet in a valley, a bookcase at its boards and a table off its legs. Four things hold in any room
+//! and need no model: what touches above and below within the same outline is one stack, be it a bookcase or a
+//! refrigerator; what is slender and carries something is a leg or a pole of it; a plate that stands on the rim of something
 //! as wide as itself is its back; what ends close under something larger and does not stick out is its foot.
 
+use super::planes::Planes;
 use super::superpoints::Superpoints;
 use crate::geometry::boxes::{Aabb, OrientedBox};
 use crate::geometry::moments::Moments;
@@ -23,6 +25,8 @@ struct Part {
     points: f32,
     aabb: Aabb,
     footprint: OrientedBox,
+    /// Whether some of it lies on a plane of the building.
+    is_structural: bool,
     /// Extents along the principal axes, falling, metres.
     extents: [f32; 3],
     /// Direction of the smallest extent.
@@ -39,6 +43,7 @@ const CONTACT_M: f32 = 0.1;
 pub fn join(
     cloud: &PointCloud,
     superpoints: &Superpoints,
+    planes: &Planes,
     region_of: Vec<u32>,
     settings: &PartMergingSettings,
     progress: &Progress,
@@ -47,10 +52,11 @@ pub fn join(
         return Ok(region_of);
     }
     progress.report("join_parts", 0.0)?;
-    let joining = Joining { cloud, superpoints, settings, progress };
+    let joining = Joining { cloud, superpoints, planes, settings, progress };
     let is_leg = |part: &Part, whole: &Part| is_leg(settings, part) && carries(part, whole);
     let is_back = |part: &Part, whole: &Part| is_back(settings, part, whole);
-    let rules: [&Rule; 3] = [&is_leg, &is_back, &is_foot];
+    let is_storey = |part: &Part, whole: &Part| is_storey(settings, part, whole);
+    let rules: [&Rule; 4] = [&is_storey, &is_leg, &is_back, &is_foot];
     let count = region_of.iter().max().map_or(0, |&region| region as usize + 1);
     let (mut region_of, mut known) = (region_of, vec![None; count]);
     for rule in rules {
@@ -66,6 +72,7 @@ type Rule<'a> = dyn Fn(&Part, &Part) -> bool + 'a;
 struct Joining<'a> {
     cloud: &'a PointCloud,
     superpoints: &'a Superpoints,
+    planes: &'a Planes,
     settings: &'a PartMergingSettings,
     progress: &'a Progress,
 }
@@ -109,18 +116,47 @@ impl Joining<'_> {
     /// What every region is like, given what is known of some.
     fn parts(&self, region_of: &[u32], known: Vec<Option<Part>>) -> Result<Vec<Part>, Cancelled> {
         let mut members: Vec<Vec<Point3<f32>>> = vec![Vec::new(); known.len()];
+        let mut structural = vec![false; known.len()];
+        for (&region, plane) in region_of.iter().zip(&self.planes.of_superpoint) {
+            structural[region as usize] |= plane.is_some();
+        }
         for (p, &superpoint) in self.cloud.positions.iter().zip(&self.superpoints.of_point) {
             let region = region_of[superpoint as usize] as usize;
             if known[region].is_none() {
                 members[region].push(*p);
             }
         }
-        let part = |(known, positions): (Option<Part>, &Vec<Point3<f32>>)| {
+        let part = |(known, (positions, &is_structural)): (Option<Part>, (&Vec<Point3<f32>>, &bool))| {
             self.progress.check()?;
-            Ok(known.unwrap_or_else(|| Part::of(positions)))
+            Ok(known.unwrap_or_else(|| Part { is_structural, ..Part::of(positions) }))
         };
-        known.into_par_iter().zip(&members).map(part).collect()
+        known.into_par_iter().zip(members.par_iter().zip(&structural)).map(part).collect()
     }
+}
+
+/// Above or below the other, of the same outline, and neither is far from it nor reaches far into it. The smaller joins the larger. What leaves
+/// a rim free all around stands there as a thing of its own.
+fn is_storey(settings: &PartMergingSettings, part: &Part, whole: &Part) -> bool {
+    /// Share of both outlines together that both have, along each axis of the larger.
+    const SAME_OUTLINE: f32 = 0.75;
+    /// Gap or overlap in height, as a share of both together.
+    const APART: f32 = 0.4;
+    /// A rim is at least so wide, metres.
+    const RIM_M: f32 = 0.03;
+    if part.is_structural || whole.is_structural || part.points > whole.points {
+        return false;
+    }
+    let (low, high) = (part.aabb.min().z.min(whole.aabb.min().z), part.aabb.max().z.max(whole.aabb.max().z));
+    let off = (part.aabb.size.z + whole.aabb.size.z - (high - low)).abs();
+    if high - low > settings.longest_m || off > APART * (high - low) {
+        return false;
+    }
+    let (upper, lower) = if part.aabb.center.z > whole.aabb.center.z { (part, whole) } else { (whole, part) };
+    let [upper, lower] = [upper, lower].map(|part| part.outline(whole.footprint.yaw_rad));
+    let along = || upper.iter().zip(&lower);
+    let is_same = along().all(|(a, b)| a.1.min(b.1) - a.0.max(b.0) >= SAME_OUTLINE * (a.1.max(b.1) - a.0.min(b.0)));
+    let leaves_rim = along().all(|(upper, lower)| upper.0 - lower.0 >= RIM_M && lower.1 - upper.1 >= RIM_M);
+    is_same && !leaves_rim
 }
 
 fn is_leg(settings: &PartMergingSettings, part: &Part) -> bool {
@@ -183,9 +219,21 @@ impl Part {
             points: positions.len() as f32,
             aabb,
             footprint,
+            is_structural: false,
             extents: extents.map(|e| e.0),
             normal: axes.column(extents[2].1).into_owned(),
         }
+    }
+
+    /// From where to where the footprint reaches along the two axes of a world turned by `yaw_rad` about Z, metres.
+    fn outline(&self, yaw_rad: f32) -> [(f32, f32); 2] {
+        let OrientedBox { center, size, yaw_rad: own_rad } = self.footprint;
+        let (sin, cos) = yaw_rad.sin_cos();
+        let (turned_sin, turned_cos) = (own_rad - yaw_rad).sin_cos();
+        let (x, y) = (cos * center.x + sin * center.y, cos * center.y - sin * center.x);
+        let half_x = (size.x * turned_cos.abs() + size.y * turned_sin.abs()) / 2.0;
+        let half_y = (size.x * turned_sin.abs() + size.y * turned_cos.abs()) / 2.0;
+        [(x - half_x, x + half_x), (y - half_y, y + half_y)]
     }
 
     /// Extent of the footprint along a horizontal direction, metres.
@@ -225,7 +273,16 @@ mod tests {
         let patch = Patch { points: 1, center: Point3::origin(), normal: Vector3::z(), lab: Lab::zeros() };
         let superpoints =
             Superpoints { of_point, patches: vec![patch; blocks.len()], adjacent: adjacent.to_vec(), roughness_m: vec![0.0; blocks.len()] };
-        join(&cloud, &superpoints, (0..blocks.len() as u32).collect(), &PartMergingSettings::default(), &Progress::silent()).unwrap()
+        let planes = Planes { planes: Vec::new(), of_superpoint: vec![None; blocks.len()] };
+        join(
+            &cloud,
+            &superpoints,
+            &planes,
+            (0..blocks.len() as u32).collect(),
+            &PartMergingSettings::default(),
+            &Progress::silent(),
+        )
+        .unwrap()
     }
 
     const SEAT: Block = ([0.0, 0.0, 0.42], [0.44, 0.44, 0.46]);
@@ -246,6 +303,41 @@ mod tests {
         let foot = ([0.16, 0.16, 0.0], [0.28, 0.28, 0.38]);
         let cushion = ([0.0, 0.0, 0.38], [0.44, 0.44, 0.52]);
         assert_eq!(joined(&[cushion, foot], &[(0, 1)]), [0, 0]);
+    }
+
+    #[test]
+    fn storeys_of_one_outline_are_one_thing() {
+        let storey = |z: f32| ([0.0, 0.0, z], [0.9, 0.36, z + 0.4]);
+        assert_eq!(joined(&[storey(0.0), storey(0.42), storey(0.84)], &[(0, 1), (1, 2)]), [0, 0, 0], "a bookcase");
+        let beside = ([0.92, 0.0, 0.0], [1.82, 0.36, 0.4]);
+        assert_eq!(joined(&[storey(0.0), beside], &[(0, 1)]), [0, 1], "two of a kind side by side");
+        let before = ([0.0, 0.38, 0.0], [0.9, 0.7, 0.4]);
+        assert_eq!(joined(&[storey(0.0), before], &[(0, 1)]), [0, 1]);
+        let narrower = ([0.1, 0.0, 0.42], [0.7, 0.36, 0.8]);
+        assert_eq!(joined(&[storey(0.0), narrower], &[(0, 1)]), [0, 1], "a screen on its cabinet");
+        let far_over = ([0.0, 0.0, 1.6], [0.9, 0.36, 2.0]);
+        assert_eq!(joined(&[storey(0.0), far_over], &[(0, 1)]), [0, 1]);
+        let too_high = ([0.0, 0.0, 0.42], [0.9, 0.36, 3.2]);
+        assert_eq!(joined(&[([0.0, 0.0, -2.0], [0.9, 0.36, 0.4]), too_high], &[(0, 1)]), [0, 1]);
+    }
+
+    #[test]
+    fn storeys_are_compared_along_their_own_axes_and_walls_have_none() {
+        let block = |low: f32, yaw: f32| {
+            let at = |i: u32, j: u32, k: u32| {
+                let (x, y) = (i as f32 * 0.02, j as f32 * 0.02);
+                Point3::new(x * yaw.cos() - y * yaw.sin(), x * yaw.sin() + y * yaw.cos(), low + k as f32 * 0.02)
+            };
+            let points: Vec<_> = (0..50)
+                .flat_map(|i| (0..16).flat_map(move |j| (0..20).map(move |k| (i, j, k))))
+                .map(|(i, j, k)| at(i, j, k))
+                .collect();
+            Part::of(&points)
+        };
+        let settings = PartMergingSettings::default();
+        assert!(is_storey(&settings, &block(0.0, 0.6), &block(0.4, 0.6)));
+        assert!(!is_storey(&settings, &block(0.0, 0.6), &block(0.4, 1.4)), "askew");
+        assert!(!is_storey(&settings, &block(0.0, 0.6), &Part { is_structural: true, ..block(0.4, 0.6) }));
     }
 
     #[test]
