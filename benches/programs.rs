@@ -78,7 +78,7 @@ struct Sentence {
 }
 
 impl Sentence {
-    /// "scene0678_00" is 678.
+    /// `scene0678_00` is 678.
     fn scene(&self) -> u32 {
         self.scan_id.trim_start_matches("scene").split('_').next().unwrap().parse().unwrap()
     }

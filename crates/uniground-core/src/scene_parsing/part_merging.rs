@@ -231,8 +231,8 @@ impl Part {
         let (sin, cos) = yaw_rad.sin_cos();
         let (turned_sin, turned_cos) = (own_rad - yaw_rad).sin_cos();
         let (x, y) = (cos * center.x + sin * center.y, cos * center.y - sin * center.x);
-        let half_x = (size.x * turned_cos.abs() + size.y * turned_sin.abs()) / 2.0;
-        let half_y = (size.x * turned_sin.abs() + size.y * turned_cos.abs()) / 2.0;
+        let half_x = f32::midpoint(size.x * turned_cos.abs(), size.y * turned_sin.abs());
+        let half_y = f32::midpoint(size.x * turned_sin.abs(), size.y * turned_cos.abs());
         [(x - half_x, x + half_x), (y - half_y, y + half_y)]
     }
 

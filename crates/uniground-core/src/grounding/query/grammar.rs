@@ -280,23 +280,7 @@ impl Reader {
                 self.unwind(0);
                 self.top();
             }
-            Meaning::Determiner => {
-                let of = self.of;
-                let frame = self.top();
-                frame.indefinite |= frame.is_empty() && matches!(text, "a" | "an" | "some" | "any");
-                let another = !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
-                frame.another = another;
-                // "facing the mural the table": a noun nobody knows has come.
-                let unknown = frame.phrase.head.is_empty() && !frame.unknown.is_empty() && !of;
-                let determined = frame.determined;
-                frame.determined |= frame.is_empty();
-                if (another || unknown) && self.awaits_target() {
-                    self.unwind(1);
-                } else if unknown && determined {
-                    self.name_by_unknown();
-                    self.top().another = true;
-                }
-            }
+            Meaning::Determiner => self.determiner(text),
             Meaning::All => {
                 if self.target.is_none() && self.stack.len() <= 1 && self.top().phrase.head.is_empty() {
                     self.query.quantity = Quantity::All;
@@ -310,6 +294,25 @@ impl Reader {
                 self.there_is = self.target.is_some();
             }
             Meaning::Pronoun => self.pronoun(),
+        }
+    }
+
+    /// An article: a noun comes, and what has none yet has had its last chance.
+    fn determiner(&mut self, text: &str) {
+        let of = self.of;
+        let frame = self.top();
+        frame.indefinite |= frame.is_empty() && matches!(text, "a" | "an" | "some" | "any");
+        let another = !frame.phrase.head.is_empty() && !words::is_anything(&frame.phrase.head) && !of;
+        frame.another = another;
+        // "facing the mural the table": a noun nobody knows has come.
+        let unknown = frame.phrase.head.is_empty() && !frame.unknown.is_empty() && !of;
+        let determined = frame.determined;
+        frame.determined |= frame.is_empty();
+        if (another || unknown) && self.awaits_target() {
+            self.unwind(1);
+        } else if unknown && determined {
+            self.name_by_unknown();
+            self.top().another = true;
         }
     }
 

@@ -70,9 +70,7 @@ pub(super) fn spelling(word: &str) -> Option<&'static str> {
 
 /// The noun that a short word becomes with one letter doubled: "bal".
 fn doubled(word: &str) -> Option<&'static str> {
-    (1..=word.len())
-        .filter_map(|i| Lexicon::get().word(&format!("{}{}", &word[..i], &word[i - 1..])))
-        .next()
+    (1..=word.len()).find_map(|i| Lexicon::get().word(&format!("{}{}", &word[..i], &word[i - 1..])))
 }
 
 /// The noun that two words make which somebody wrote apart: "wheel barow". Of two that are English only as it stands.

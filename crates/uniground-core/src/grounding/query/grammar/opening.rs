@@ -87,7 +87,7 @@ impl Reader {
         let unnamed = self.stack.last().is_none_or(|f| f.phrase.head.is_empty() && f.role == Role::Target);
         let kind = match (measure, of) {
             // "the higher of the shelves", "the box at the top of the stack": one of its like.
-            (_, Some(Of::Group)) | (_, None) => None,
+            (_, Some(Of::Group) | None) => None,
             (_, Some(Of::Several)) if unnamed => None,
             (Measure::Middle, Some(Of::Several)) => Some(RelationKind::Between),
             (Measure::Leftmost, _) => Some(RelationKind::LeftOf),
