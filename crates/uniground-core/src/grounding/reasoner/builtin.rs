@@ -72,11 +72,11 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
-    // Green and of some size, but nothing that it measures like is a fridge. An encoder has weighed the names already.
-    if assessor.scene.appearance.is_none()
-        && assessment.nouns[best] < MIN_UNNAMED_FIT
-        && !name_matches(assessor.scene, &parsed.target, best)
-    {
+    // Green and of some size, but nothing that it measures like is a fridge: where the colour chose it, a last guess is no name. An encoder
+    // has weighed the names already.
+    let may_be_called = name_matches(assessor.scene, &parsed.target, best)
+        && (parsed.target.colours.is_empty() || is_called(&parsed.target, assessor.scene)(best));
+    if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !may_be_called {
         return no_match(scores, NoMatchReason::Absent, why_nothing_fits(parsed));
     }
     let several = several(&scores, &order, parsed.quantity, &is_called(&parsed.target, assessor.scene));
