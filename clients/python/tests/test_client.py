@@ -211,12 +211,12 @@ def test_a_scene_is_placed_in_a_map(scene: Scene) -> None:
 def test_a_scene_is_a_graph(scene: Scene) -> None:
     graph = scene.graph()
     assert {node.kind for node in graph.nodes} >= {"thing", "structure"}
-    assert ("i86", "on", "i25") in {(edge.from_, edge.relation, edge.to) for edge in graph.edges}
+    assert ("i82", "on", "i26") in {(edge.from_, edge.relation, edge.to) for edge in graph.edges}
     around = scene.graph(around=MUG_ID)
-    assert {"i86", "i25"} <= {node.id for node in around.nodes}
+    assert {"i82", "i26"} <= {node.id for node in around.nodes}
     assert len(around.nodes) < len(graph.nodes) <= len(scene.graph("all").nodes)
     text = scene.graph_text(around=MUG_ID)
-    assert "on [i25] grey coffee table" in text
+    assert "on [i26] grey coffee table" in text
     assert len(text) < len(scene.graph_text())
 
 

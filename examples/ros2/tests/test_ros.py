@@ -201,7 +201,7 @@ def test_what_is_not_one_sure_thing_is_no_goal(node: Grounding) -> None:
     several = ask(node, "how many mugs are there")
     assert (several.status, len(several.detections.detections), several.has_goal) == ("grounded", 4, False)
     assert several.goal_reason == "4 things are meant"
-    either = ask(node, "the chair closest to the door")
+    either = ask(node, "the stool")
     assert (either.status, either.has_goal) == ("ambiguous", False)
     assert len(either.detections.detections) >= 2
     nothing = ask(node, "the spaceship")
