@@ -76,7 +76,7 @@ fn instances_without_a_model_cover_the_annotated_objects() {
 /// With the annotated masks fed in, only grouping and boxes can go wrong.
 #[test]
 fn perfect_masks_give_near_perfect_instances() {
-    for (name, floors) in [("room1", [0.97, 0.86]), ("room2", [0.92, 0.70])] {
+    for (name, floors) in [("room1", [0.97, 0.86]), ("room2", [0.92, 0.75])] {
         with_room(name, |room| {
             let score = score(&room, &room.masks());
             print(&format!("{name}, annotated masks"), &score);

@@ -3,7 +3,10 @@
 //! Masks cut a chair where its seat and back meet in a valley, a bookcase at its boards and a table off its legs. Four things hold in any room
 //! and need no model: what touches above and below within the same outline is one stack, be it a bookcase or a
 //! refrigerator; what is slender and carries something is a leg or a pole of it; a plate that stands on the rim of something
-//! as wide as itself is its back; what ends close under something larger and does not stick out is its foot.
+//! as wide as itself is its back; what ends close under something larger and does not stick out is its foot. Leaves make a plant, with the pot
+//! they grow out of.
+
+mod foliage;
 
 use super::planes::Planes;
 use super::superpoints::Superpoints;
@@ -59,6 +62,8 @@ pub fn join(
     let rules: [&Rule; 4] = [&is_storey, &is_leg, &is_back, &is_foot];
     let count = region_of.iter().max().map_or(0, |&region| region as usize + 1);
     let (mut region_of, mut known) = (region_of, vec![None; count]);
+    let parts = joining.parts(&region_of, known)?;
+    (region_of, known) = foliage::gather(superpoints, region_of, &parts);
     for rule in rules {
         let parts = joining.parts(&region_of, known)?;
         (region_of, known) = joining.join_by(region_of, &parts, rule);
@@ -103,14 +108,7 @@ impl Joining<'_> {
         for (part, (_, std::cmp::Reverse(whole))) in best {
             sets.union(part, whole);
         }
-        let (labels, count) = sets.into_labels();
-        let mut joined = vec![0; count];
-        labels.iter().for_each(|&label| joined[label as usize] += 1);
-        let mut known = vec![None; count];
-        for (part, &label) in parts.iter().zip(&labels).filter(|(_, label)| joined[**label as usize] == 1) {
-            known[label as usize] = Some(part.clone());
-        }
-        (region_of.into_iter().map(|r| labels[r as usize]).collect(), known)
+        united(sets, region_of, parts)
     }
 
     /// What every region is like, given what is known of some.
@@ -132,6 +130,18 @@ impl Joining<'_> {
         };
         known.into_par_iter().zip(members.par_iter().zip(&structural)).map(part).collect()
     }
+}
+
+/// The regions that sets of them make, and what is known of those that are as they were.
+fn united(sets: UnionFind, region_of: Vec<u32>, parts: &[Part]) -> (Vec<u32>, Vec<Option<Part>>) {
+    let (labels, count) = sets.into_labels();
+    let mut joined = vec![0; count];
+    labels.iter().for_each(|&label| joined[label as usize] += 1);
+    let mut known = vec![None; count];
+    for (part, &label) in parts.iter().zip(&labels).filter(|(_, label)| joined[**label as usize] == 1) {
+        known[label as usize] = Some(part.clone());
+    }
+    (region_of.into_iter().map(|r| labels[r as usize]).collect(), known)
 }
 
 /// Above or below the other, of the same outline, and neither is far from it nor reaches far into it. The smaller joins the larger. What leaves

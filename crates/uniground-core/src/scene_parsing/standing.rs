@@ -30,6 +30,8 @@ const CONTACT_M: f32 = 0.08;
 const MAX_COVERED: f32 = 0.4;
 /// Share of its own footprint that lies over that rectangle at least.
 const OVER_TOP: f32 = 0.7;
+/// Share of the region's points that it has at most: what most of a thing stands on is its foot, as a screen's is.
+const MAX_OF_REGION: f32 = 0.5;
 
 /// Gives what stands on a level part of a region a region of its own, if it has `min_points`; returns the region `0..n` of each superpoint.
 /// What lies on planes of the building is left as it is.
@@ -64,13 +66,14 @@ pub fn set_free(
     for members in members.iter().filter(|members| members.iter().all(|&s| planes.of_superpoint[s as usize].is_none())) {
         progress.check()?;
         let mut left: BTreeSet<u32> = members.iter().copied().collect();
+        let most = (MAX_OF_REGION * points_of(members, &pieces) as f32) as u32;
         for top in tops(&pieces, members) {
             let above = |s: &u32| {
                 let piece = &pieces[*s as usize];
                 piece.middle_z > top.z + OVER_M && piece.low_z > top.z - CONTACT_M && !top.members.contains(s)
             };
             for thing in hanging_together(left.iter().copied().filter(above).collect(), &neighbours) {
-                if top.carries(&thing, &pieces, min_points) {
+                if (min_points..=most).contains(&points_of(&thing, &pieces)) && top.carries(&thing, &pieces) {
                     thing.iter().for_each(|s| {
                         left.remove(s);
                         region_of[*s as usize] = regions;
@@ -141,18 +144,21 @@ struct Top {
 
 impl Top {
     /// Whether these superpoints stand on it as one thing.
-    fn carries(&self, thing: &[u32], pieces: &[Piece], min_points: u32) -> bool {
+    fn carries(&self, thing: &[u32], pieces: &[Piece]) -> bool {
         let piece = |&s: &u32| &pieces[s as usize];
         let low_z = thing.iter().map(|s| piece(s).low_z).fold(f32::INFINITY, f32::min);
         let high_z = thing.iter().map(|s| piece(s).high_z).fold(f32::NEG_INFINITY, f32::max);
         let cells = footprint(thing, pieces);
         let over = cells.iter().filter(|cell| self.around.holds(**cell)).count();
-        thing.iter().map(|s| piece(s).points).sum::<u32>() >= min_points
-            && low_z < self.z + CONTACT_M
+        low_z < self.z + CONTACT_M
             && high_z >= self.z + MIN_RISE_M
             && over as f32 >= OVER_TOP * cells.len() as f32
             && Rectangle::around(&cells).cells() <= MAX_COVERED * self.around.cells()
     }
+}
+
+fn points_of(members: &[u32], pieces: &[Piece]) -> u32 {
+    members.iter().map(|&s| pieces[s as usize].points).sum()
 }
 
 fn footprint(members: &[u32], pieces: &[Piece]) -> BTreeSet<(i32, i32)> {
@@ -243,6 +249,15 @@ mod tests {
         for other in [back, beside, floating, crumb] {
             assert_eq!(freed(&[top(), other], &[(0, 1)], None), [0, 0], "{other:?}");
         }
+    }
+
+    #[test]
+    fn a_screen_stays_on_its_foot() {
+        let foot = ([0.0, 0.0, 0.74], [0.6, 0.4, 0.74], Vector3::z());
+        let low = ([0.1, 0.1, 0.76], [0.4, 0.2, 0.86], Vector3::y());
+        assert_eq!(freed(&[foot, low], &[(0, 1)], None), [0, 1], "as much of it as a thing on a tray");
+        let high = ([0.1, 0.1, 0.76], [0.4, 0.2, 1.2], Vector3::y());
+        assert_eq!(freed(&[foot, high], &[(0, 1)], None), [0, 0]);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Regions to instances: boxes, colours, support, structure, and which regions are none. Class-agnostic.
 
 mod bounds;
+mod columns;
 mod single;
 mod structure;
 mod support;
@@ -18,10 +19,11 @@ use crate::scene_parsing::planes::Planes;
 use crate::scene_parsing::relief::Relief;
 use crate::scene_parsing::superpoints::Superpoints;
 use crate::scene_parsing::views::{Sighted, Sighting};
+use columns::Columns;
 use rayon::prelude::*;
 pub use single::{merged, of_points};
 use std::collections::BTreeMap;
-pub use support::supports;
+pub use support::{Body, supports};
 use uniground_types::settings::InstanceSettings;
 
 /// What stage 1 takes for things and for parts of the building.
@@ -87,13 +89,19 @@ pub fn build<'a>(
     let specks = specks.iter().filter(|speck| **speck).count() as u32;
     let dropped = things as u32 - labels.things - specks;
 
-    let boxes: Vec<Aabb> = shapes[..structures.len()].iter().map(|shape| shape.aabb).collect();
-    let mut supports = supports(&boxes, &structures, floor_z, progress)?;
-    for (i, support) in supports.iter_mut().enumerate().filter(|(_, support)| **support == Support::Nothing) {
-        if let Some((surface_z, on)) = support::on_legs(i, &boxes, &structures, floor_z) {
-            *support = on;
-            shapes[i].reach_down_to(surface_z);
-        }
+    let mut at = 0..;
+    members.retain(|_| at.next().is_some_and(stays));
+    let bodies: Vec<Body> = shapes
+        .par_iter()
+        .zip(&members)
+        .take(structures.len())
+        .map(|(shape, points)| shape.body(cloud, points))
+        .collect();
+    let mut supports = supports(&bodies, &structures, floor_z, progress)?;
+    for (i, support) in supports.iter_mut().enumerate().filter(|(i, _)| structures[*i].is_none()) {
+        let held = support::held(i, *support, &bodies, &structures, floor_z);
+        shapes[i].reach(held.from_z, held.to_z);
+        *support = held.support;
     }
     for (compound, i) in labels.compounds.iter().zip(structures.len()..) {
         supports.push(support_of(compound, i, &mut shapes, &supports));
@@ -178,22 +186,20 @@ fn kept(
 }
 
 /// What the compound at index `i` rests on: a whole on what its lowest thing does, a part on what its thing does where it reaches as low, else
-/// on the thing. A whole stands on the legs of its things.
+/// on the thing. A whole reaches from floor to ceiling where its things do.
 fn support_of(compound: &Compound, i: usize, shapes: &mut [Shape], supports: &[Support]) -> Support {
-    let bottom_z = |i: usize, shapes: &[Shape]| shapes[i].aabb.min().z;
-    let index = |thing: &InstanceId| thing.0 as usize - 1;
-    let lowest = compound
-        .things
-        .iter()
-        .map(index)
-        .min_by(|&a, &b| bottom_z(a, shapes).total_cmp(&bottom_z(b, shapes)));
-    let Some(lowest) = lowest else { return Support::Nothing };
-    let own_z = bottom_z(i, shapes);
+    let reach = |i: usize, shapes: &[Shape]| (shapes[i].aabb.min().z, shapes[i].aabb.max().z);
+    let things = compound.things.iter().map(|thing| thing.0 as usize - 1);
+    let Some(lowest) = things.clone().min_by(|&a, &b| reach(a, shapes).0.total_cmp(&reach(b, shapes).0)) else {
+        return Support::Nothing;
+    };
+    let (bottom_z, top_z) = reach(i, shapes);
+    let from_z = reach(lowest, shapes).0;
     match compound.level {
-        Level::Part if own_z > bottom_z(lowest, shapes) + support::CONTACT_M => Support::Instance { id: InstanceId(lowest as u32 + 1) },
-        Level::Whole if own_z > bottom_z(lowest, shapes) => {
-            let bottom_z = bottom_z(lowest, shapes);
-            shapes[i].reach_down_to(bottom_z);
+        Level::Part if bottom_z > from_z + support::CONTACT_M => Support::Instance { id: InstanceId(lowest as u32 + 1) },
+        Level::Whole => {
+            let to_z = things.map(|thing| reach(thing, shapes).1).fold(top_z, f32::max);
+            shapes[i].reach(bottom_z.min(from_z), to_z);
             supports[lowest]
         }
         _ => supports[lowest],
@@ -286,13 +292,19 @@ impl Shape {
 }
 
 impl Shape {
-    /// Its legs were not seen.
-    fn reach_down_to(&mut self, bottom_z: f32) {
+    fn body(&self, cloud: &PointCloud, members: &[u32]) -> Body {
+        // Without strays, but with what noise adds to thin things.
+        let around = Aabb { size: self.aabb.size.add_scalar(2.0 * support::CONTACT_M), ..self.aabb };
+        let points = members.iter().map(|&i| cloud.positions[i as usize]).filter(|p| around.contains(p));
+        Body { aabb: self.aabb, columns: Columns::of_points(points, self.oriented_box.yaw_rad) }
+    }
+
+    /// From one height to another, metres: its legs or its cord were not seen.
+    fn reach(&mut self, bottom_z: f32, top_z: f32) {
         let (min, max) = (self.aabb.min(), self.aabb.max());
-        self.aabb = Aabb::from_corners(Point3::new(min.x, min.y, bottom_z), max);
+        self.aabb = Aabb::from_corners(Point3::new(min.x, min.y, bottom_z), Point3::new(max.x, max.y, top_z));
         let OrientedBox { center, size, .. } = &mut self.oriented_box;
-        let top = center.z + size.z / 2.0;
-        (center.z, size.z) = (f32::midpoint(top, bottom_z), top - bottom_z);
+        (center.z, size.z) = (f32::midpoint(top_z, bottom_z), top_z - bottom_z);
     }
 }
 

@@ -1,7 +1,6 @@
 //! One more instance beside those that are known: of points, or of what several of them have.
 
-use super::{Shape, support};
-use crate::geometry::boxes::Aabb;
+use super::{Body, Shape, support};
 use crate::models::attributes::name_guesses;
 use crate::scene::{Instance, InstanceId, Level, PointCloud, Structure, Support, views_of_all};
 use uniground_types::settings::InstanceSettings;
@@ -40,17 +39,20 @@ pub fn merged(
 pub fn of_points(cloud: &PointCloud, points: &[u32], known: &[Instance], settings: &InstanceSettings) -> Instance {
     // How rough surfaces are was measured with the superpoints, which are not kept.
     const NOISE_M: f32 = 0.0;
-    let shape = Shape::of(cloud, points, NOISE_M, None, settings);
+    let mut shape = Shape::of(cloud, points, NOISE_M, None, settings);
     let bottom_z = |i: &Instance| i.aabb.min().z;
     let floor_z = known.first().map_or(shape.aabb.min().z, |i| bottom_z(i) - i.height_above_floor_m);
     let things: Vec<&Instance> = known.iter().filter(|i| i.level == Level::Thing && !i.dismissed).collect();
-    let mut boxes: Vec<Aabb> = things.iter().map(|i| i.aabb).collect();
+    let mut bodies: Vec<Body> = things.iter().map(|i| Body::of_box(i.aabb, &i.oriented_box)).collect();
     let mut structures: Vec<Option<Structure>> = things.iter().map(|i| i.structure).collect();
-    boxes.push(shape.aabb);
+    bodies.push(shape.body(cloud, points));
     structures.push(None);
     // Told by places in this list, counted from 1.
     let id_of = |place: InstanceId| things[place.0 as usize - 1].id;
-    let support = match support::of(boxes.len() - 1, &boxes, &structures, floor_z) {
+    let own = bodies.len() - 1;
+    let held = support::held(own, support::of(own, &bodies, &structures, floor_z), &bodies, &structures, floor_z);
+    shape.reach(held.from_z, held.to_z);
+    let support = match held.support {
         Support::Instance { id } => Support::Instance { id: id_of(id) },
         Support::Wall { id } => Support::Wall { id: id_of(id) },
         other => other,

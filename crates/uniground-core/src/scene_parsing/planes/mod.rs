@@ -7,6 +7,7 @@
 //! What makes a plane part of the building is free space. A floor is what cameras were above and nothing is below; a ceiling has nothing
 //! above it. Over the top of a wall nothing can be seen; over the top of a wardrobe, the wall behind it.
 
+mod rugs;
 mod sheet;
 
 use super::superpoints::{Patch, Superpoints};
@@ -164,11 +165,12 @@ pub fn find(cloud: &PointCloud, superpoints: &Superpoints, cameras: &[Point3<f32
     planes.retain(|(sheet, structure)| *structure != Structure::Floor || !on_floor(sheet));
     planes.sort_by(|a, b| b.0.area_m2().total_cmp(&a.0.area_m2()));
     progress.report("planes", 0.8)?;
-    let of_superpoint = scan.assigned(&planes);
-    let planes = planes
+    let mut of_superpoint = scan.assigned(&planes);
+    let planes: Vec<Plane> = planes
         .into_iter()
         .map(|(sheet, structure)| Plane { structure, normal: sheet.normal, middle: sheet.middle, area_m2: sheet.area_m2() })
         .collect();
+    rugs::take_off(&scan, superpoints, &planes, cameras, &mut of_superpoint);
     Ok(Planes { planes, of_superpoint })
 }
 
