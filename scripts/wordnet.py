@@ -17,6 +17,8 @@ from pathlib import Path
 ARTIFACT, ANIMAL, FOOD, OBJECT, PLANT = 6, 5, 13, 17, 20
 THINGS = {ARTIFACT, OBJECT}
 OCCURRING = {ANIMAL, FOOD, PLANT}
+# Kinds that are named all the same: whatever is one of them stands in a pot or a vase.
+NAMED = {"vascular plant"}
 # WordNet has no words of these kinds.
 SMALL_WORDS = """
 about above across after again against all along also although always among an and any anybody anyone anything anywhere are around as at
@@ -71,7 +73,7 @@ def main():
         for offset in offsets:
             file = nouns[offset][0]
             occurs = file in OCCURRING and (word, file) in occurring
-            if (file in THINGS or occurs) and len(of_word.setdefault(word, [])) < 2 and len(word.split()) < 4:
+            if (file in THINGS or occurs or word in NAMED) and len(of_word.setdefault(word, [])) < 2 and len(word.split()) < 4:
                 of_word[word].append(offset)
                 kept.add(offset)
     for offset in list(kept):

@@ -1,7 +1,7 @@
 //! Annotations as instances: perfect boxes, and perfect names or the encoder's.
 
 use crate::evaluation::annotations::{Annotations, SceneObject};
-use uniground_core::geometry::boxes::{Aabb, OrientedBox};
+use uniground_core::geometry::boxes::OrientedBox;
 use uniground_core::geometry::colour::ColourHistogram;
 use uniground_core::geometry::{Point3, Vector3};
 use uniground_core::models::neural::DualEncoder;
@@ -9,7 +9,7 @@ use uniground_core::models::{attributes, calibration};
 use uniground_core::progress::Progress;
 use uniground_core::scene::{Embeddings, FrameRef, Instance, InstanceId, Level, NameGuess, PointCloud, Structure, Support};
 use uniground_core::scene_parsing::appearance;
-use uniground_core::scene_parsing::instances::{planarity, supports};
+use uniground_core::scene_parsing::instances::{Body, planarity, supports};
 use uniground_core::scene_parsing::labels::Labels;
 use uniground_core::scene_parsing::lifting::MasksOfFrames;
 use uniground_core::scene_parsing::sharpness::SharpnessOfFrames;
@@ -42,30 +42,22 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: NamedB
         }
     }
     let structures: Vec<Option<Structure>> = objects.iter().map(SceneObject::structure).collect();
-    let boxes: Vec<Aabb> = objects.iter().map(|o| o.aabb).collect();
+    let bodies: Vec<Body> = objects.iter().map(|o| Body::of_box(o.aabb, &oriented_box_of(o))).collect();
     let floor = objects.iter().find(|o| o.structure() == Some(Structure::Floor)).map(|o| o.aabb.max().z);
-    let floor_z = floor.or_else(|| boxes.iter().map(|b| b.min().z).min_by(f32::total_cmp)).unwrap_or(0.0);
+    let floor_z = floor.or_else(|| objects.iter().map(|o| o.aabb.min().z).min_by(f32::total_cmp)).unwrap_or(0.0);
     // Nobody can cancel what is not told to anybody.
-    let supports = supports(&boxes, &structures, floor_z, &Progress::silent()).unwrap_or_else(|_| vec![Support::Nothing; objects.len()]);
+    let supports = supports(&bodies, &structures, floor_z, &Progress::silent()).unwrap_or_else(|_| vec![Support::Nothing; objects.len()]);
     let build = |(i, object): (usize, &SceneObject)| {
         let seen = &colours[i];
         let annotated = object.mean_rgb.map(|rgb| rgb.map(|v| v.clamp(0.0, 255.0) as u8));
         let mean_rgb = mean(seen).or(annotated).unwrap_or([128; 3]);
-        let own = object.rotated_box();
-        // Only the yaw of a tilted box fits an oriented box; most things stand upright.
-        let (_, _, yaw_rad) = own.rotation.euler_angles();
-        let upright = own.rotation.transform_vector(&Vector3::z()).z > 0.99;
-        let oriented_box = match upright {
-            true => OrientedBox { center: own.center, size: own.size, yaw_rad },
-            false => OrientedBox { center: object.aabb.center, size: object.aabb.size, yaw_rad: 0.0 },
-        };
         let mut instance = Instance {
             id: InstanceId(i as u32 + 1),
             level: Level::Thing,
             things: Vec::new(),
             aabb: object.aabb,
             raw_box: object.aabb,
-            oriented_box,
+            oriented_box: oriented_box_of(object),
             point_count: seen.len() as u32,
             mean_rgb,
             colours: if names == NamedBy::Annotated && !object.colours.is_empty() {
@@ -97,6 +89,16 @@ pub fn instances_of(annotations: &Annotations, cloud: &PointCloud, names: NamedB
         attributes::name_all(&mut instances);
     }
     instances
+}
+
+/// Only the yaw of a tilted box fits an oriented box; most things stand upright.
+fn oriented_box_of(object: &SceneObject) -> OrientedBox {
+    let own = object.rotated_box();
+    let (_, _, yaw_rad) = own.rotation.euler_angles();
+    match own.rotation.transform_vector(&Vector3::z()).z > 0.99 {
+        true => OrientedBox { center: own.center, size: own.size, yaw_rad },
+        false => OrientedBox { center: object.aabb.center, size: object.aabb.size, yaw_rad: 0.0 },
+    }
 }
 
 /// What an encoder sees of annotated instances, and what it calls them: crops around the points annotated as theirs.

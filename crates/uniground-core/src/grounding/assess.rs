@@ -125,13 +125,23 @@ impl<'a> Assessor<'a> {
         let comparing = |r: &Relation| r.kind.is_comparison();
         let order = (0..phrase.relations.len()).filter(|&i| !comparing(&phrase.relations[i]));
         let order = order.chain((0..phrase.relations.len()).filter(|&i| comparing(&phrase.relations[i])));
+        let mut counted = phrase.count.filter(|count| *count > 1).map(|count| count as usize);
+        let compares = phrase.superlative.is_some() || phrase.relations.iter().any(comparing);
         for i in order {
+            if comparing(&phrase.relations[i])
+                && let Some(count) = counted.take()
+            {
+                leave_best(count, &mut total);
+            }
             bonds[i] = self.bonds(&phrase.relations[i], &total);
             let least = contradicted(phrase.relations[i].kind);
             total
                 .iter_mut()
                 .zip(&bonds[i])
                 .for_each(|(score, bond)| *score *= least + (1.0 - least) * bond.score);
+        }
+        if let Some(count) = counted.filter(|_| compares) {
+            leave_best(count, &mut total);
         }
         let place_seen_by = phrase
             .superlative
@@ -410,6 +420,15 @@ fn unchecked(phrases: &[Phrase], found: &[Assessment], share: f32) -> Option<f32
         }
     });
     shares.reduce(f32::min).filter(|share| *share <= 1.0)
+}
+
+/// "The middle one of the three stools": the three that fit best are compared, and what fits as well as the third.
+fn leave_best(count: usize, scores: &mut [f32]) {
+    const AS_WELL: f32 = 0.95;
+    let mut best = scores.to_vec();
+    best.sort_by(|a, b| b.total_cmp(a));
+    let least = best.get(count - 1).map_or(0.0, |last| AS_WELL * last);
+    scores.iter_mut().filter(|score| **score < least).for_each(|score| *score = 0.0);
 }
 
 fn contradicted(kind: RelationKind) -> f32 {

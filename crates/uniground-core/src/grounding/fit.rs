@@ -32,6 +32,8 @@ const CALLED_SO: f32 = 0.95;
 const NOTABLE_M: f32 = 0.1;
 /// A colour that is not there at all leaves this: the scan's light may be odd.
 const WRONG_COLOUR: f32 = 0.02;
+/// The same for a colour that is only likened: people say "pinkish" of a brown chair.
+const NEAR_COLOUR: f32 = 0.3;
 /// An instance may be meant when its fit is at least this share of the best fit.
 pub(super) const PLAUSIBLE: f32 = 0.3;
 /// What is left at the wrong end of a comparison: of the smallest thing when "large" is asked for.
@@ -142,9 +144,10 @@ pub fn colours_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
         let seen = if named.contains(&colour) { 1.0 } else { NAMED_OTHERWISE };
         measured + SEEN_COLOUR * (seen - measured)
     };
+    let least = if phrase.roughly { NEAR_COLOUR } else { WRONG_COLOUR };
     // Two colours share the surface: each needs to be there, neither needs to rule.
     let n = phrase.colours.len().max(1) as f32;
-    let wanted = phrase.colours.iter().map(|&c| (colour_fit(c) * n.sqrt()).clamp(WRONG_COLOUR, 1.0));
+    let wanted = phrase.colours.iter().map(|&c| (colour_fit(c) * n.sqrt()).clamp(least, 1.0));
     let unwanted = phrase.other_than.iter().map(|&c| (1.0 - colour_fit(c)).max(WRONG_COLOUR));
     wanted.chain(unwanted).product()
 }

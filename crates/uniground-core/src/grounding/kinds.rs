@@ -9,6 +9,8 @@ const BROADER_WORD: f32 = 0.9;
 const EXOTIC: f32 = 0.125;
 /// A thing that was given a broader name than the one asked for may be meant.
 const BROADER_NAME: f32 = 0.5;
+/// The same where the name is the last word of what is asked for: "stool" for a bar stool.
+const ITS_LAST_WORD: f32 = 0.7;
 /// Another word for the name that was given.
 const SYNONYM: f32 = 0.95;
 /// A thing that serves a use as others do; one that is named after the use has 1.
@@ -44,12 +46,19 @@ pub(super) fn kind_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
                     * if i > 0 || !phrase.uses.is_empty() || given == phrase.head || own.name == phrase.head { 1.0 } else { SYNONYM }
             }
             // "table" was given and "side table" is asked for: it may be one.
-            None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => BROADER_NAME,
+            None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => {
+                if is_last_word(given, phrase) { ITS_LAST_WORD } else { BROADER_NAME }
+            }
             None => 0.0,
         },
         _ => f32::from(u8::from(last(given) == last(&phrase.head))),
     };
     if fit > 0.0 || phrase.head.is_empty() || !phrase.uses.is_empty() { fit } else { kinship_fit(given, &phrase.head) }
+}
+
+fn is_last_word(given: &str, phrase: &Phrase) -> bool {
+    let singular = Lexicon::get().find(&phrase.head).map_or(&phrase.head, |noun| &noun.name);
+    singular.strip_suffix(given).is_some_and(|before| before.ends_with(' '))
 }
 
 fn last(words: &str) -> Option<&str> {
@@ -80,6 +89,10 @@ mod tests {
             let phrase = Phrase { head: asked.into(), ..Phrase::default() };
             kind_fit(given, &phrase, &phrase.meaning())
         };
+        assert_eq!(
+            (fit("stool", "bar stool"), fit("stool", "bar stools"), fit("chair", "bar stool")),
+            (ITS_LAST_WORD, ITS_LAST_WORD, BROADER_NAME)
+        );
         assert!(fit("trash can", "dustbin") >= SYNONYM && fit("acoustic guitar", "musical instrument") > 0.5);
         // Of kinds as near, what people speak of comes first.
         assert!(fit("fedora", "hat") > 1.02 * fit("deerstalker", "hat"), "{}", fit("deerstalker", "hat"));

@@ -216,7 +216,7 @@ pub fn inside(target: &Solid, anchor: &Solid) -> f32 {
     target.footprint_overlap(anchor) * if target.size[2] < 1e-3 { 1.0 } else { height }
 }
 
-/// Near the middle of the line between the anchors' centres, on the ground plan.
+/// Near the middle of the line between the anchors' centres, on the ground plan, no storey above or below both, and not what carries them.
 #[must_use]
 pub fn between(target: &Solid, a: &Solid, b: &Solid) -> f32 {
     let line = (b.center - a.center).xy();
@@ -227,7 +227,13 @@ pub fn between(target: &Solid, a: &Solid, b: &Solid) -> f32 {
     let from_a = (target.center - a.center).xy();
     let (along, aside) = (from_a.dot(&line) / (length * length), from_a.perp(&line).abs() / length);
     let within = fade((along - 0.5).abs() - 0.3, 0.15);
-    within * fade(aside, 0.35 * length + 0.2)
+    let on_the_line = within * fade(aside, 0.35 * length + 0.2);
+    if on_the_line <= 0.0 {
+        return 0.0;
+    }
+    let off_their_height = target.vertical_gap(a).min(target.vertical_gap(b)).max(0.0);
+    let carries_them = holds(target, a).max(holds(target, b));
+    on_the_line * fade(off_their_height, 1.0) * (1.0 - 0.8 * carries_them)
 }
 
 /// On the other side, vis-à-vis: apart, and in line with one of the anchor's axes.

@@ -122,7 +122,13 @@ impl Wording {
     /// How well the words say it: by the needed words and the particles that are said, "drink from" as well as "drink water"; `None` when a needed word is missing.
     fn fit(&self, words: &BTreeSet<&str>, stems: &BTreeSet<String>) -> Option<usize> {
         let said = !self.needed.is_empty() && self.needed.iter().all(|stem| stems.contains(stem));
-        said.then(|| self.needed.len() + self.particles.iter().filter(|p| words.contains(p.as_str())).count())
+        let particles = self.particles.iter().filter(|p| words.contains(p.as_str())).count();
+        (said && (particles > 0 || !self.is_light())).then(|| self.needed.len() + particles)
+    }
+
+    /// Whether its particle says more than its verb: "get out", but not "get some fruit".
+    fn is_light(&self) -> bool {
+        matches!(&self.needed[..], [only] if matches!(only.as_str(), "get" | "go")) && !self.particles.is_empty()
     }
 }
 
@@ -148,7 +154,7 @@ fn find_at(words: &[&str], mut start: usize) -> Option<Affordance> {
         }
         // "please bring me", "find": before the opener only words without content may stand.
         match words::longest(rest) {
-            Some((Meaning::Filler | Meaning::Determiner, length)) => start += length,
+            Some((Meaning::Filler | Meaning::Determiner | Meaning::And, length)) => start += length,
             _ if start > 0 && rest.first() == Some(&BREAK) => start += 1,
             _ => return None,
         }
@@ -170,11 +176,28 @@ fn find_at(words: &[&str], mut start: usize) -> Option<Affordance> {
         .iter()
         .filter_map(|(spoken, wordings)| Some((wordings.iter().filter_map(|w| w.fit(&clause, &stems)).max()?, *spoken)))
         .collect();
+    if found.is_empty() {
+        found = of_the_same_verb(&words[begin..end]);
+    }
     found.sort_unstable_by(|a, b| b.0.cmp(&a.0).then(a.1.cmp(b.1)));
     let best = found.first()?.0;
     let uses = found.into_iter().take_while(|(fit, _)| *fit == best).map(|(_, spoken)| spoken.to_owned()).collect();
     let words = clause.iter().filter(|word| !PARTICLES.contains(word)).map(|word| (*word).to_owned()).collect();
     Some(Affordance { uses, words, described, taken: end })
+}
+
+/// Uses that begin with the verb of a clause, where none is said as the clause says it: "heat up my soup".
+fn of_the_same_verb(clause: &[&str]) -> Vec<(usize, &'static str)> {
+    /// Verbs of anything.
+    const LIGHT: [&str; 16] =
+        ["get", "go", "put", "take", "have", "make", "keep", "do", "see", "know", "look", "check", "use", "hold", "find", "be"];
+    let verb = clause
+        .iter()
+        .find(|word| !PARTICLES.contains(word) && !words::is_known(word))
+        .map(|word| stem(word));
+    let Some(verb) = verb.filter(|verb| !LIGHT.contains(&verb.as_str())) else { return Vec::new() };
+    let begins = |wordings: &Vec<Wording>| wordings.iter().any(|wording| wording.needed.len() > 1 && wording.needed[0] == verb);
+    WORDINGS.iter().filter(|(_, wordings)| begins(wordings)).map(|(spoken, _)| (1, *spoken)).collect()
 }
 
 /// Whether a thing is followed by what it is for, soon: "something soft to sit on", not "the thing on the table".
@@ -222,8 +245,11 @@ fn ends_clause(words: &[&str], i: usize) -> bool {
     if !matches!(meaning, Meaning::Relation(_) | Meaning::With { .. } | Meaning::Superlative(_) | Meaning::View(_)) {
         return false;
     }
-    // "sit on", "read by": a particle of the verb unless a thing follows.
+    // "sit on", "read by": a particle of the verb unless a thing follows. "Work on my laptop": that one need not be here.
     let next = words.get(i + length).copied().unwrap_or(BREAK);
+    if matches!(words[i], "on" | "in" | "with") && length == 1 && matches!(next, "my" | "your" | "our" | "his" | "her" | "their") {
+        return false;
+    }
     match words::longest(&words[(i + length).min(words.len())..]) {
         _ if meaning == Meaning::Relation(super::RelationKind::InCorner) => true,
         Some((

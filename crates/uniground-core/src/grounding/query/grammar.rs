@@ -9,6 +9,7 @@ use super::languages;
 use super::observers;
 use super::pieces::{Piece, address, is_bare_noun, is_filler, noun_to_come, pieces};
 use super::rewrites::rewritten;
+use super::said_later;
 use super::situations;
 use super::tokens::{spelling, tokens};
 use super::words::{self, Meaning};
@@ -67,6 +68,12 @@ pub fn parse(query: &str) -> ParsedQuery {
     let foreign = languages::is_foreign(&tokens);
     let tokens = observers::rewritten(&rewritten(corrections::rewritten(situations::left_out(tokens))));
     let tokens = &tokens[address(&tokens)..];
+    let query = read(tokens);
+    let query = said_later::of_a_thing(&query, tokens, read).unwrap_or(query);
+    ParsedQuery { foreign, ..query }
+}
+
+fn read(tokens: &[String]) -> ParsedQuery {
     let affordance = affordances::find(tokens);
     let (described, rest) = affordance
         .as_ref()
@@ -76,7 +83,6 @@ pub fn parse(query: &str) -> ParsedQuery {
     let mut nearest = read(Attach::Nearest);
     let target = read(Attach::Target);
     nearest.other_reading = (target.target != nearest.target).then_some(target.target);
-    nearest.foreign = foreign;
     nearest
 }
 
@@ -256,11 +262,12 @@ impl Reader {
                 let negated = std::mem::take(&mut self.negated);
                 self.last_negated = negated;
                 let phrase = &mut self.top().phrase;
+                phrase.roughly |= words::is_rough_colour(text);
                 if negated { phrase.other_than.push(colour) } else { phrase.colours.push(colour) }
             }
             Meaning::Trait(seen) => self.top().phrase.traits.push(seen),
             Meaning::Not => self.negated = true,
-            Meaning::And => self.and(),
+            Meaning::And => self.and(rest),
             // "the closest of the chairs" asks for a chair.
             Meaning::Of => {
                 self.of = self.compared.is_none();
@@ -356,7 +363,13 @@ impl Reader {
                 self.push(Role::View(Look::From));
             }
             // "fetch the cup from the shelf"
-            "from" if self.stack.last().is_some_and(|f| !f.phrase.head.is_empty() && f.phrase.uses.is_empty()) => {
+            "from"
+                if self
+                    .stack
+                    .last()
+                    .is_some_and(|f| f.phrase.uses.is_empty() && !(f.phrase.head.is_empty() && f.unknown.is_empty())) =>
+            {
+                self.name_by_unknown();
                 self.relation(RelationKind::Near, text);
             }
             _ => {}
@@ -373,7 +386,11 @@ impl Reader {
         self.stack.len() > 1 && target.is_some_and(|frame| frame.phrase.head.is_empty() && frame.phrase.uses.is_empty())
     }
 
-    fn and(&mut self) {
+    fn and(&mut self, rest: &[Piece]) {
+        // "between the sprocket and the lamp": a noun nobody knows has come.
+        if matches!(rest.first(), Some(Piece::Word(Meaning::Determiner, _))) {
+            self.name_by_unknown();
+        }
         match self.stack.last() {
             // "orange and black desk": one thing of two colours.
             Some(frame) if frame.phrase.head.is_empty() => {}

@@ -13,6 +13,7 @@ mod parsers;
 mod pieces;
 mod relation_kinds;
 mod rewrites;
+mod said_later;
 mod sides;
 mod situations;
 mod tokens;
@@ -114,7 +115,7 @@ pub struct Phrase {
     pub head: String,
     /// What it is for: "something to sit on". Words of the lexicon.
     pub uses: Vec<String>,
-    /// Nouns it may be called by as well, the likeliest first: a reader that knows the world says them.
+    /// Nouns it may be called by as well, the likeliest first: a reader that knows the world says them; of a noun nobody listed, what holds it.
     pub could_be: Vec<String>,
     /// Nouns it must not be: "the table that is not the dining table".
     pub other_things: Vec<String>,
@@ -122,6 +123,8 @@ pub struct Phrase {
     pub purpose: Vec<String>,
     /// Colours it must have. Two share its surface: each has to be there.
     pub colours: Vec<ColourName>,
+    /// The colours are only likened ("pinkish"): one near them may be meant.
+    pub roughly: bool,
     /// Colours it must not have: "not red".
     pub other_than: Vec<ColourName>,
     /// "large", "round".

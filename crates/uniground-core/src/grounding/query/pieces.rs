@@ -65,7 +65,9 @@ pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
             (_, word) => word,
         };
         // "the lamp stands by the door", "the can", "what you can see": a noun only where one may come.
-        let a_verb = WORDS_AND_NOUNS.contains(&run[0]) && word.is_some_and(|(_, length)| length == 1) && !awaits_noun(pieces.last());
+        let several = matches!(pieces.last(), Some(Piece::Noun(noun)) if Lexicon::get().is_plural(noun));
+        let a_verb = WORDS_AND_NOUNS.contains(&run[0]) && word.is_some_and(|(_, length)| length == 1) && !awaits_noun(pieces.last())
+            || run[0] == "stand" && several;
         at += match (noun.filter(|&length| length > 1 || !a_verb), word) {
             (Some(length), word) if word.is_none_or(|(_, w)| length >= w) => {
                 pieces.push(Piece::Noun(run[..length].join(" ")));

@@ -1,6 +1,7 @@
 //! Ways of saying, rewritten to the one that the tables know.
 
 use super::affordances;
+use super::pieces::longest_noun;
 use super::sides;
 use super::tokens::{BREAK, spelling_of_small_words};
 use super::words::{self, Meaning};
@@ -10,9 +11,14 @@ use crate::models::attributes::Lexicon;
 pub(super) fn rewritten(mut tokens: Vec<String>) -> Vec<String> {
     slips(&mut tokens);
     its(&mut tokens);
+    of_several(&mut tokens);
+    one_for(&mut tokens);
     thing_you_use(&mut tokens);
     which_is(&mut tokens);
+    stranded(&mut tokens);
     extremes(&mut tokens);
+    over_at(&mut tokens);
+    until_somebody(&mut tokens);
     how_many(&mut tokens);
     nearest_place(&mut tokens);
     either_side(&mut tokens);
@@ -77,6 +83,64 @@ fn which_is(tokens: &mut Vec<String>) {
     }
 }
 
+/// "the seat that a teddy has been put on" is "the seat with a teddy", "the table the bin stands under" is "the table above the bin".
+fn stranded(tokens: &mut Vec<String>) {
+    const INVERSE: [(&[&str], &str); 16] = [
+        (&["on", "top", "of"], "with"),
+        (&["in", "front", "of"], "behind"),
+        (&["next", "to"], "next to"),
+        (&["close", "to"], "next to"),
+        (&["on"], "with"),
+        (&["in"], "with"),
+        (&["inside"], "with"),
+        (&["under"], "above"),
+        (&["underneath"], "above"),
+        (&["beneath"], "above"),
+        (&["above"], "below"),
+        (&["behind"], "in front of"),
+        (&["beside"], "next to"),
+        (&["by"], "next to"),
+        (&["near"], "next to"),
+        (&["against"], "next to"),
+    ];
+    /// "has been put", "is now lying".
+    const MOST_VERBS: usize = 4;
+    let mut end = tokens.len();
+    while end > 0 {
+        let start = tokens[..end].iter().rposition(|token| token == BREAK).map_or(0, |at| at + 1);
+        let clause: Vec<&str> = tokens[start..end].iter().map(String::as_str).collect();
+        let told = INVERSE.iter().find(|(words, _)| clause.ends_with(words));
+        let found = told.and_then(|(words, inverse)| {
+            let stop = clause.len() - words.len();
+            let (that, thing) = (0..stop).find_map(|i| relative_clause(&clause[..stop], i))?;
+            let verbs = (thing + 2..stop).find(|&i| is_verb_of_place(clause[i]) && clause[i - 1] != "to")?;
+            (stop - verbs <= MOST_VERBS).then_some((that, thing, verbs, *inverse))
+        });
+        if let Some((that, thing, verbs, inverse)) = found {
+            tokens.drain(start + verbs..end);
+            tokens.splice(start + that..start + thing, inverse.split(' ').map(str::to_owned));
+        }
+        end = start.saturating_sub(1);
+    }
+}
+
+/// Where a clause about the noun at an index begins, and the article of what it tells of: "the desk [that] [the] printer is on".
+fn relative_clause(clause: &[&str], i: usize) -> Option<(usize, usize)> {
+    let that = i + longest_noun(&clause[i..])?;
+    let thing = that + usize::from(matches!(clause.get(that), Some(&("that" | "which"))));
+    let is_article = matches!(words::longest(clause.get(thing..=thing)?), Some((Meaning::Determiner, 1)));
+    is_article.then_some((that, thing))
+}
+
+/// "is", "has been put", "lies".
+fn is_verb_of_place(word: &str) -> bool {
+    const PLACED: [&str; 27] = [
+        "is", "are", "was", "were", "has", "have", "had", "got", "gets", "sits", "sit", "stands", "stand", "lies", "lie", "hangs", "hang",
+        "rests", "rest", "leans", "lean", "sleeps", "lives", "goes", "sat", "stood", "lay",
+    ];
+    PLACED.contains(&word) || word.len() > 5 && word.ends_with("ing") && !Lexicon::get().knows(word)
+}
+
 /// "its the one by the door" is "it's the one by the door".
 fn its(tokens: &mut [String]) {
     for i in 1..tokens.len() {
@@ -94,13 +158,79 @@ fn thing_you_use(tokens: &mut Vec<String>) {
     let Some(thing) = (1..tokens.len().min(7)).find(is_thing) else { return };
     let that = usize::from(matches!(word(thing + 1), "that" | "which"));
     let people = matches!(word(thing + that + 1), "you" | "people" | "they" | "one" | "someone" | "somebody" | "we");
-    let verb = word(thing + that + 2);
+    let may = usize::from(matches!(word(thing + that + 2), "would" | "could" | "can" | "might" | "usually" | "normally" | "just"));
+    let verb = word(thing + that + 2 + may);
     let meaning = |i: usize| words::longest(&[word(i)]).map(|(meaning, _)| meaning);
-    let describes = |i: usize| matches!(meaning(i), Some(Meaning::Colour(_) | Meaning::Trait(_) | Meaning::Determiner | Meaning::Filler));
+    let describes = |i: usize| match meaning(i) {
+        Some(meaning) => matches!(meaning, Meaning::Colour(_) | Meaning::Trait(_) | Meaning::Determiner | Meaning::Filler),
+        None => !Lexicon::get().knows(word(i)),
+    };
     if people && affordances::is_verb_of_a_use(verb) && (0..thing).all(describes) {
         let described = (0..thing).filter(|&i| meaning(i) != Some(Meaning::Determiner)).map(word);
         let new: Vec<String> = ["something"].into_iter().chain(described).chain(["to"]).map(str::to_owned).collect();
-        tokens.splice(..thing + that + 2, new);
+        tokens.splice(..thing + that + 2 + may, new);
+    }
+}
+
+/// "the bright one, for sitting" is "something bright to sit".
+fn one_for(tokens: &mut Vec<String>) {
+    let word = |i: usize| tokens.get(i).map_or("", String::as_str);
+    let Some(one) = (0..tokens.len()).find(|&i| matches!(word(i), "one" | "thing" | "something")) else { return };
+    let at = one + 1 + usize::from(word(one + 1) == BREAK);
+    let verb = word(at + 1).to_owned();
+    let described = (0..one).all(|i| !Lexicon::get().knows(word(i)) && word(i) != BREAK && word(i) != "no");
+    if word(at) == "for" && verb.ends_with("ing") && affordances::is_verb_of_a_use(&verb) && described {
+        let before: Vec<String> = tokens.drain(..=at).take(one).collect();
+        let describing = before
+            .into_iter()
+            .filter(|word| !matches!(words::longest(&[word]), Some((Meaning::Determiner | Meaning::Filler, _))));
+        let new: Vec<String> = std::iter::once("something".to_owned()).chain(describing).chain(["to".to_owned()]).collect();
+        tokens.splice(..0, new);
+    }
+}
+
+/// "of the green chairs, the one by the door" is "the green chair by the door".
+fn of_several(tokens: &mut Vec<String>) {
+    let word = |i: usize| tokens.get(i).map_or("", String::as_str);
+    let begins = match (word(0), word(1)) {
+        ("out", "of") => 2,
+        ("of" | "among" | "amongst", _) => 1,
+        _ => return,
+    };
+    let Some(pause) = tokens.iter().position(|token| token == BREAK) else { return };
+    let one = (pause + 1..tokens.len()).find(|&i| word(i) == "one").filter(|one| *one <= pause + 4);
+    let plural = Lexicon::get().find(word(pause - 1)).filter(|_| Lexicon::get().is_plural(word(pause - 1)));
+    let (Some(one), Some(noun)) = (one, plural) else { return };
+    let counted = |word: &&String| matches!(words::longest(&[word]), Some((Meaning::Determiner | Meaning::Number(_) | Meaning::All, _)));
+    let described = tokens[begins..pause - 1].iter().skip_while(counted).cloned();
+    let new: Vec<String> = described.chain(noun.name.split(' ').map(str::to_owned)).collect();
+    tokens.splice(one..=one, new);
+    tokens.drain(..=pause);
+}
+
+/// "over on my left", "up in the corner": the place says it.
+fn over_at(tokens: &mut Vec<String>) {
+    let mut i = 0;
+    while i + 1 < tokens.len() {
+        let near = matches!(tokens[i + 1].as_str(), "on" | "in" | "at" | "by" | "near" | "next" | "there" | "here" | "against");
+        if tokens[i] == "over" && near {
+            tokens.remove(i);
+        } else {
+            i += 1;
+        }
+    }
+}
+
+/// "put the board away before somebody slips on it": when and why it is wanted does not tell it from others.
+fn until_somebody(tokens: &mut Vec<String>) {
+    const SUBJECTS: [&str; 12] = ["somebody", "someone", "anybody", "anyone", "i", "we", "it", "they", "he", "she", "people", "i'm"];
+    let begins = |i: &usize| {
+        matches!(tokens[*i].as_str(), "before" | "because" | "since" | "until" | "till" | "cause" | "cos")
+            && tokens.get(i + 1).is_some_and(|next| SUBJECTS.contains(&next.as_str()))
+    };
+    if let Some(start) = (1..tokens.len()).find(begins) {
+        let end = (start..tokens.len()).find(|&i| tokens[i] == BREAK).unwrap_or(tokens.len());
+        tokens.drain(start..end);
     }
 }
 
@@ -304,7 +434,22 @@ mod tests {
             ("with the window in front of me the lamp", "when you face the window , the lamp"),
             ("the lamp on the left with the door behind me", "the lamp on the left with my back to the door ,"),
             ("the sofa with the table in front of it", "the sofa with the table in front of it"),
-            ("the shiny thing you sit on", "the shiny thing you sit on"),
+            ("the shiny thing you sit on", "something shiny to sit on"),
+            ("the wooden thing you would climb on", "something wooden to climb on"),
+            ("the seat a teddy has been put on", "the seat with a teddy"),
+            ("the cabinet the printer is sitting on", "the cabinet with the printer"),
+            ("the machine that the bread rolls are lying on top of, please", "the machine with the bread rolls , please"),
+            ("of the green slatted chairs, the one by the door", "the green slatted chair by the door"),
+            ("out of the three stools, the tallest one", "the tallest stool"),
+            ("the bright orange plastic one, for sitting", "something bright orange plastic to sitting"),
+            ("the lamp over on my left", "the lamp on my left"),
+            ("the lamp over the table", "the lamp over the table"),
+            ("put away the board before somebody slips on it", "put away the board"),
+            ("the chair before the door", "the chair before the door"),
+            ("the table the dog sleeps under", "the table above the dog"),
+            ("the lamp next to the desk the bin stands behind", "the lamp next to the desk in front of the bin"),
+            ("the chair the boy likes to sit on", "the chair the boy likes to sit on"),
+            ("the mug on the table that is on", "the mug on the table that is on"),
             ("the green thing you sit on", "something green to sit on"),
             ("the thing that people write with", "something to write with"),
             ("all the chairs on wheels", "all the chairs with wheels"),

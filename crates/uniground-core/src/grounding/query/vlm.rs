@@ -200,6 +200,7 @@ fn phrase(json: PhraseJson, depth: u32, parts: &mut usize) -> Result<Phrase, Str
         purpose,
         colours: json.colours.iter().map(colour).collect::<Result<_, _>>()?,
         other_than: json.not_colours.iter().map(colour).collect::<Result<_, _>>()?,
+        roughly: false,
         traits: json.traits.iter().map(seen).collect::<Result<_, _>>()?,
         unchecked: Vec::new(),
         count: json.count,

@@ -145,6 +145,11 @@ pub(super) fn is_known(word: &str) -> bool {
     BY_FIRST_WORD.contains_key(word)
 }
 
+/// Whether words for a colour only liken it: "pinkish", "salmon coloured".
+pub(super) fn is_rough_colour(text: &str) -> bool {
+    ["ish", "orangey", "yellowy", "coloured", "colored"].iter().any(|ending| text.ends_with(ending))
+}
+
 /// Nouns that may stand for anything.
 pub(super) fn is_anything(head: &str) -> bool {
     matches!(

@@ -34,7 +34,7 @@ const PLAINLY_AGAINST: f32 = 0.15;
 const TIE: f32 = 0.97;
 /// Where several are asked for, a thing with this share of the best score is one of them.
 const ALSO_MEANT: f32 = 0.5;
-/// Weight of a score under the second reading of the words; the first has 1.
+/// Weight of a score under the less likely reading of the words; the other has 1.
 const OTHER_READING: f32 = 0.92;
 /// Power of the scores that share the belief: the higher, the more the best one has.
 const BELIEF_POWER: i32 = 4;
@@ -55,7 +55,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     // The view that won is the one to explain, and that others are told of.
     let score_of_best = |read: &Read| order.first().map_or(0.0, |&best| read.score(best));
     let won = (0..read.len()).reduce(|best, next| if score_of_best(&read[next]) > score_of_best(&read[best]) { next } else { best });
-    let Read { view, assessment, other, .. } = &read[won.unwrap_or(0)];
+    let Read { view, assessment, other, counts, .. } = &read[won.unwrap_or(0)];
     view.take(assessor);
     let instances = assessor.scene.instances;
     let best_fit = assessment.nouns.iter().copied().fold(0.0, f32::max);
@@ -72,11 +72,10 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
         let why = format!("No {} stands in the relations asked for.", parsed.target.text());
         return no_match(scores, NoMatchReason::Elsewhere, why);
     }
-    // Green and of some size, but nothing that it measures like is a fridge: where the colour chose it, a last guess is no name. An encoder
-    // has weighed the names already.
-    let may_be_called = name_matches(assessor.scene, &parsed.target, best)
-        && (parsed.target.colours.is_empty() || is_called(&parsed.target, assessor.scene)(best));
-    if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !may_be_called {
+    // Green and of some size, but nothing that measures like a fridge, and what may be one is called otherwise first. An encoder has weighed
+    // the names already.
+    let is_named = name_matches(assessor.scene, &parsed.target, best) && is_called(&parsed.target, assessor.scene)(best);
+    if assessor.scene.appearance.is_none() && assessment.nouns[best] < MIN_UNNAMED_FIT && !is_named {
         return no_match(scores, NoMatchReason::Absent, why_nothing_fits(parsed));
     }
     let several = several(&scores, &order, parsed.quantity, &is_called(&parsed.target, assessor.scene));
@@ -84,7 +83,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let status = if several.is_empty() && tied.len() > 1 { Status::Ambiguous } else { Status::Grounded };
     // The reading that won is the one to explain.
     let (phrase, assessed) = match (&parsed.other_reading, other) {
-        (Some(phrase), Some(other)) if other.total[best] * OTHER_READING > assessment.total[best] => (phrase, other),
+        (Some(phrase), Some(other)) if counts[1] * other.total[best] > counts[0] * assessment.total[best] => (phrase, other),
         _ => (&parsed.target, assessment),
     };
     let explanation = match status {
@@ -115,7 +114,7 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
 /// Whether any of the things that may be meant has the colours asked for; a related colour alone ("orange" for yellow) is not enough.
 fn colours_agree(assessment: &Assessment, target: &Phrase, scene: SceneView) -> bool {
     let likely = most_plausible(&assessment.nouns, usize::MAX);
-    target.colours.is_empty() || likely.iter().any(|&(i, _)| colours_fit(scene, target, i) >= MIN_COLOUR)
+    target.colours.is_empty() || target.roughly || likely.iter().any(|&(i, _)| colours_fit(scene, target, i) >= MIN_COLOUR)
 }
 
 /// A question, read from one view.
@@ -124,6 +123,8 @@ struct Read {
     assessment: Assessment,
     /// By the second reading of its words.
     other: Option<Assessment>,
+    /// What the scores under the first and the second reading count.
+    counts: [f32; 2],
     scores: Vec<f32>,
 }
 
@@ -132,12 +133,14 @@ impl Read {
         view.take(assessor);
         let assessment = assessor.assess(&parsed.target);
         let other = parsed.other_reading.as_ref().map(|phrase| assessor.assess(phrase));
-        let mut scores = joint_scores(&assessment, other.as_ref());
+        let second_first = other.is_some() && says_it_of_nothing(assessor, &parsed.target);
+        let counts = if second_first { [OTHER_READING, 1.0] } else { [1.0, OTHER_READING] };
+        let mut scores = joint_scores(&assessment, other.as_ref(), counts);
         // "facing the desk, the thing on the left" is not the desk.
         if let Some(by) = view.by.filter(|_| parsed.target.meaning() == Meaning::Anything) {
             scores[by] = 0.0;
         }
-        Self { view, assessment, other, scores }
+        Self { view, assessment, other, counts, scores }
     }
 
     /// What speaks for an instance if it is this view that is meant, and how sure that is.
@@ -153,11 +156,18 @@ fn looked_by(won: &View, read: &[Read]) -> Vec<usize> {
 }
 
 /// The better of the two readings, instance by instance.
-fn joint_scores(first: &Assessment, other: Option<&Assessment>) -> Vec<f32> {
+fn joint_scores(first: &Assessment, other: Option<&Assessment>, counts: [f32; 2]) -> Vec<f32> {
     match other {
         None => first.total.clone(),
-        Some(other) => first.total.iter().zip(&other.total).map(|(a, b)| a.max(OTHER_READING * b)).collect(),
+        Some(other) => first.total.iter().zip(&other.total).map(|(a, b)| (counts[0] * a).max(counts[1] * b)).collect(),
     }
+}
+
+/// "The thing with candles between the till and the door": of candles that nobody found there, where they are tells nothing.
+fn says_it_of_nothing(assessor: &Assessor, phrase: &Phrase) -> bool {
+    let anchors = phrase.relations.iter().flat_map(|relation| &relation.anchors);
+    let mut related = phrase.with.iter().map(|with| &with.phrase).chain(anchors).filter(|said| !said.relations.is_empty());
+    related.any(|said| assessor.assess(said).total.iter().all(|score| *score < MIN_FIT))
 }
 
 /// Whether what can be measured for sure speaks against an instance: where it rests and what it touches, not what depends on who looks.
@@ -238,7 +248,7 @@ mod tests {
     use crate::grounding::direction::{DirectionConvention, Observer};
     use crate::grounding::{Grounding, NameIndex, Question, SceneView, SixFields, Timings, ground};
     use crate::models::attributes::{self, tests::thing};
-    use crate::scene::{Instance, InstanceId, Structure, Support};
+    use crate::scene::{Instance, InstanceId, NameGuess, Structure, Support};
 
     /// A small room: two sofas, a table with two mugs, a rug.
     fn room() -> Vec<Instance> {
@@ -435,6 +445,23 @@ mod tests {
             assert_eq!(ask(query).no_match_reason, Some(reason), "{query}");
         }
         assert_eq!(ask("the rug").no_match_reason, None);
+    }
+
+    #[test]
+    fn what_is_hardly_such_a_thing_must_be_called_so_before_anything_else() {
+        let guess = |name: &str, score: f32| NameGuess { name: name.to_owned(), score };
+        let asked = |names: [NameGuess; 2]| {
+            let mut instances = room();
+            let green = thing(7, [2.7, 1.4], [0.715, 0.616, 0.49], 0.85, Support::Instance { id: InstanceId(3) }, [40, 140, 50]);
+            instances.push(Instance { names: names.to_vec(), ..green });
+            let extent = Aabb { center: Point3::new(0.0, 0.0, 1.3), size: Vector3::new(7.0, 5.0, 2.6) };
+            let scene = SceneView { instances: &instances, extent, names: &NameIndex::default(), appearance: None };
+            ground(scene, &Question::of("the green fridge"))
+        };
+        let plant = asked([guess("plant", 0.5), guess("mini fridge", 0.3)]);
+        assert_eq!((plant.status, plant.no_match_reason), (Status::NoMatch, Some(NoMatchReason::Absent)), "{plant:?}");
+        let fridge = asked([guess("mini fridge", 0.5), guess("plant", 0.3)]);
+        assert_eq!(fridge.answer.predicted_id, Some(InstanceId(7)), "{fridge:?}");
     }
 
     #[test]

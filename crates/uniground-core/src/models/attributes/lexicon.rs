@@ -13,6 +13,8 @@ pub struct Range {
     pub high: f32,
 }
 
+/// What tulips and ferns are kinds of.
+const PLANT: &str = "vascular plant";
 /// More than any kinship has.
 const MAX_STEPS: u32 = 10;
 /// Sizes below this are all alike: thinner than a scan resolves.
@@ -168,7 +170,7 @@ impl Lexicon {
             .map_or_else(Vec::new, |ids| ids.iter().map(|&i| &self.nouns[i]).collect())
     }
 
-    /// Nouns for a word that is none of the lexicon: those it is a kind of, else those that are kinds of it; the nearest, most common first.
+    /// Nouns for a word that is none of the lexicon: those it is a kind of, else those that are kinds of it, the nearest, most common first.
     #[must_use]
     pub fn akin(&self, word: &str) -> Vec<&Noun> {
         static KINDS: LazyLock<Vec<&[u32]>> =
@@ -188,6 +190,23 @@ impl Lexicon {
         let nearest = akin.first().map_or(0, |(steps, _)| *steps);
         let alike = |steps: u32| steps == nearest || nearest > MAX_STEPS;
         akin.into_iter().filter(|(steps, _)| alike(*steps)).map(|(_, noun)| noun).collect()
+    }
+
+    /// Nouns for containers that are called after what is in them, and for what plants stand in: a bottle for "the wine", a vase for "the
+    /// tulips"; the most common first.
+    #[must_use]
+    pub fn holding(&self, word: &str) -> Vec<&Noun> {
+        let names = |noun: &Noun| std::iter::once(&noun.name).chain(&noun.synonyms).cloned().collect::<Vec<_>>();
+        let called_after = |noun: &&Noun| {
+            let container = noun.kinds.iter().any(|kind| kind == "container");
+            container && names(noun).iter().any(|name| name.strip_prefix(word).is_some_and(|rest| rest.starts_with(' ')))
+        };
+        let is_plant = WordNet::get().is_a(word, PLANT);
+        let for_plants =
+            |noun: &&Noun| noun.kinds.iter().any(|kind| kind == "plant") || noun.uses.iter().any(|spoken| spoken == "put flowers in");
+        let mut holding: Vec<&Noun> = self.nouns.iter().filter(|noun| called_after(noun) || is_plant && for_plants(noun)).collect();
+        holding.sort_by(|a, b| b.prior.total_cmp(&a.prior));
+        holding
     }
 
     /// Whether a word, or its singular, leads to a noun.

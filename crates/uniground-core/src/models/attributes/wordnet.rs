@@ -69,6 +69,14 @@ impl WordNet {
         narrower.or_else(|| pairs().filter_map(|(a, b)| self.steps(b, a)).min().map(Kinship::Broader))
     }
 
+    /// Whether what a word most usually means is a kind of another, any number of steps up.
+    #[must_use]
+    pub fn is_a(&self, word: &str, above: &str) -> bool {
+        let above = self.kinds_of(above);
+        let mut up = std::iter::successors(self.kinds_of(word).first().copied(), |&kind| self.kinds[kind as usize].parent);
+        up.any(|kind| above.contains(&kind))
+    }
+
     /// How usual the kind is that a name most usually means, from [`EXOTIC`] to 1: people seldom say "seat" and mean a pew.
     #[must_use]
     pub fn commonness(&self, name: &str) -> f32 {

@@ -37,6 +37,12 @@ impl Reader {
             superlative.rank = rank;
             self.ordinal = None;
         }
+        // "counting from the door, the third"
+        let compared = target.relations.iter_mut().find(|r| r.kind.is_comparison() && !r.negated && r.rank == 1);
+        if let (Some(rank), Some(relation)) = (self.ordinal, compared) {
+            relation.rank = rank;
+            self.ordinal = None;
+        }
         // "the second chair left of the door": counted from it.
         let sided = target.relations.iter().find(|r| r.kind.is_a_side() && !r.negated && r.anchors.len() == 1);
         if let (Some(rank), Some(anchors)) = (self.ordinal, sided.map(|r| r.anchors.clone())) {
@@ -146,7 +152,10 @@ impl Reader {
         }
         self.query.not_understood.append(&mut unknown);
         if !phrase.head.is_empty() && phrase.meaning() == Meaning::Unknown && phrase.head != ITSELF {
-            self.query.not_understood.push(phrase.head.clone());
+            phrase.could_be = Lexicon::get().holding(&phrase.head).into_iter().map(|noun| noun.name.clone()).collect();
+            if phrase.could_be.is_empty() {
+                self.query.not_understood.push(phrase.head.clone());
+            }
         }
         self.query.not_understood.extend(phrase.unchecked.iter().cloned());
     }
@@ -170,6 +179,7 @@ impl Reader {
             target.unchecked.append(&mut more.unchecked);
             target.count = target.count.or(more.count);
             target.colours.append(&mut more.colours);
+            target.roughly |= more.roughly;
             target.other_than.append(&mut more.other_than);
             target.traits.append(&mut more.traits);
             target.with.append(&mut more.with);

@@ -133,7 +133,7 @@ fn orders_and_counts() {
         ("the table with four chairs", "table; with [4 chairs]"),
         ("the desk with a single monitor", "desk; with [1 monitor]"),
         ("the middle window", "window; Middle 1"),
-        ("of the three filing cabinets, the one closest to the desk", "3 filing cabinets; Closest(desk)"),
+        ("of the three filing cabinets, the one closest to the desk", "filing cabinet; Closest(desk)"),
     ]);
 }
 
@@ -261,4 +261,25 @@ proptest! {
     ]), 0..30)) {
         let _ = parse(&words.join(" "));
     }
+}
+
+#[test]
+fn what_somebody_does_is_not_what_they_ask_for() {
+    check(&[
+        ("heading out, i need the umbrella by the door", "umbrella; Near(door)"),
+        ("I want to ride, so the green one with the basket", "green something to ride; with [basket]"),
+        ("the theremin next to the sofa", "theremin; Near(sofa)"),
+        ("two green chairs stand at the table", "2 green chairs; Near(table)"),
+        ("counting the stools starting from the door, the third", "stools; Closest 3(door)"),
+        ("the wine from the table near the window", "wine; Near(table; Near(window))"),
+        ("the box between the sprocket and the lamp", "box; Between(sprocket & lamp)"),
+        ("where can i get some fruit", "fruit"),
+        ("a place to work on your laptop", "something to exercise or work at"),
+        ("something to heat up my soup in", "something to boil water or heat food or heat room or heat water"),
+    ]);
+    let by_article = parse("wipe off what's written on the board that hangs between the brown door and the darts");
+    assert_eq!((by_article.target.head.as_str(), &by_article.not_understood[..1]), ("board", &["wipe".to_owned()][..]));
+    assert!(parse("the pinkish chair").target.roughly && !parse("the pink chair").target.roughly);
+    assert_eq!(parse("the wine").target.could_be, ["bottle", "wine glass"]);
+    assert!(parse("the tulips").target.could_be.contains(&"vase".to_owned()));
 }
