@@ -63,13 +63,21 @@ test("the answer's box is drawn around the right thing", async () => {
   await close();
 });
 
+/** Waits until the camera stands and the address says where: a busy machine flies slowly. */
+async function still(page) {
+  const place = async () => `${await page.evaluate(() => window.unigroundPage.camera().position)} ${page.url()}`;
+  for (let [before, now] = ["", await place()]; before !== now; [before, now] = [now, await place()]) {
+    await page.waitForTimeout(800);
+  }
+}
+
 test("a link opens the same question, thing and view again", async () => {
   const { page, close } = await room();
   await drawn(page);
   await ask(page, "the red sofa");
-  await page.waitForTimeout(800);
+  await still(page);
   await page.locator("canvas").press("ArrowLeft");
-  await page.waitForTimeout(800);
+  await still(page);
   const [link, camera] = [page.url(), await page.evaluate(() => window.unigroundPage.camera().position)];
   assert.match(link, /cam=/);
   const { page: again, complaints, close: closeAgain } = await openPage(browser, link);
