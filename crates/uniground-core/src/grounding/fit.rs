@@ -34,6 +34,11 @@ const NOTABLE_M: f32 = 0.1;
 const WRONG_COLOUR: f32 = 0.02;
 /// The same for a colour that is only likened: people say "pinkish" of a brown chair.
 const NEAR_COLOUR: f32 = 0.3;
+/// Words for wood, and the colours it mostly has.
+const WOOD: [&str; 6] = ["wooden", "wood", "oak", "pine", "walnut", "timber"];
+const WOODEN: [ColourName; 4] = [ColourName::Brown, ColourName::Orange, ColourName::Beige, ColourName::Yellow];
+/// What is left of what is said to be of wood and has none of these: it may be painted.
+const PAINTED: f32 = 0.5;
 /// An instance may be meant when its fit is at least this share of the best fit.
 pub(super) const PLAUSIBLE: f32 = 0.3;
 /// What is left at the wrong end of a comparison: of the smallest thing when "large" is asked for.
@@ -149,7 +154,18 @@ pub fn colours_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
     let n = phrase.colours.len().max(1) as f32;
     let wanted = phrase.colours.iter().map(|&c| (colour_fit(c) * n.sqrt()).clamp(least, 1.0));
     let unwanted = phrase.other_than.iter().map(|&c| (1.0 - colour_fit(c)).max(WRONG_COLOUR));
-    wanted.chain(unwanted).product()
+    wanted.chain(unwanted).product::<f32>() * wooden_fit(scene, phrase, index)
+}
+
+/// How well the colour of the instance at an index goes with wood, where a phrase says so and no colour; 1 where a name says the same.
+fn wooden_fit(scene: SceneView, phrase: &Phrase, index: usize) -> f32 {
+    let is_said = phrase.unchecked.iter().any(|word| WOOD.contains(&word.as_str()));
+    let is_named = || scene.names.get(index).is_some_and(|name| WOOD.iter().any(|word| name.says(word)));
+    if !is_said || !phrase.colours.is_empty() || is_named() {
+        return 1.0;
+    }
+    let seen: f32 = WOODEN.iter().map(|&colour| attributes::colour_fit(colour, &scene.instances[index])).sum();
+    PAINTED + (1.0 - PAINTED) * seen.min(1.0)
 }
 
 /// Fit of every instance to a trait, `0..=1`. "Large" and "dark" compare it with the other things the noun may mean; "round" looks at

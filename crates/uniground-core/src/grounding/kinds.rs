@@ -11,6 +11,8 @@ const EXOTIC: f32 = 0.125;
 const BROADER_NAME: f32 = 0.5;
 /// The same where the name is the last word of what is asked for: "stool" for a bar stool.
 const ITS_LAST_WORD: f32 = 0.7;
+/// The same where the name says what else it is for: a "salad bowl" for a dog bowl.
+const OTHER_COMPOUND: f32 = 0.2;
 /// Another word for the name that was given.
 const SYNONYM: f32 = 0.95;
 /// A thing that serves a use as others do; one that is named after the use has 1.
@@ -47,7 +49,12 @@ pub(super) fn kind_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
             }
             // "table" was given and "side table" is asked for: it may be one.
             None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => {
-                if is_last_word(given, phrase) { ITS_LAST_WORD } else { BROADER_NAME }
+                match given.contains(' ') && phrase.head.contains(' ') {
+                    _ if is_last_word(given, phrase) => ITS_LAST_WORD,
+                    // A salad bowl is no dog bowl.
+                    true => OTHER_COMPOUND,
+                    false => BROADER_NAME,
+                }
             }
             None => 0.0,
         },

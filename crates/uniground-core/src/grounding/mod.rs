@@ -24,6 +24,7 @@ pub mod relations;
 pub mod room;
 pub mod room_index;
 mod scene_source;
+mod settled;
 mod shortlist;
 pub mod solid;
 mod unlisted;
@@ -35,6 +36,7 @@ use assess::Assessor;
 use direction::{DirectionConvention, Directions, Observer};
 pub use names::{GivenName, NameIndex};
 pub use picture_cache::PictureCache;
+pub use settled::settled;
 use std::time::{Duration, Instant};
 pub use uniground_types::answer::{Alternative, Candidate, NoMatchReason, ParsedQuerySummary, Seen, SixFields, Status, Target, Timings};
 pub use uniground_types::question::{CandidateSource, QueryText};
@@ -115,7 +117,7 @@ pub fn ground(scene: SceneView, question: &Question) -> Grounding {
 /// Answers a question that has been read already; `reading` is how long that took.
 #[must_use]
 pub fn ground_read(scene: SceneView, question: &Question, parsed: query::ParsedQuery, reading: Duration) -> Grounding {
-    decided(scene, question, parsed, reading).1
+    decided(scene, question, settled(scene, parsed), reading).1
 }
 
 /// Answers a question, and gathers what a vision-language model is told so that it can decide better. The answer has the `top_k`

@@ -1,8 +1,8 @@
 //! One question, from words to an answer: the only way there, for the service, for evaluation and for a robot's own process.
 //!
 //! ```text
-//! read -> appearance -> decide -> evidence -> review -> answer
-//!         \___ one step of computing ___/   \_ where a vision-language model reviews _/
+//! read -> settle -> appearance -> decide -> evidence -> review -> answer
+//!         \_______ one step of computing _____/   \_ where a vision-language model reviews _/
 //! ```
 //! The pipeline is a future that its caller drives; it needs no runtime of its own. Where a scene's pictures, embeddings and names come
 //! from, and on which threads computing happens, is the business of a [`SceneSource`].
@@ -15,7 +15,7 @@ use super::unlisted::{Found, look_up};
 use super::vlm::{
     self, Conversation, Decision, EvidenceMode, MAX_CALLS, Options, Outcome, PictureSettings, PromptVersion, Undecided, naming,
 };
-use super::{Candidate, Grounding, Question, SceneView, decided, ground_with_context, rank_candidates};
+use super::{Candidate, Grounding, Question, SceneView, decided, ground_with_context, rank_candidates, settled};
 use crate::models::attributes;
 use crate::models::chat::{Budget, CallRecord, ChatModel, Session};
 use crate::models::neural::DualEncoder;
@@ -112,18 +112,17 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     let took = start.elapsed();
 
     let with_review = review.is_some();
-    let decide = (question, parsed.clone());
-    let (grounding, context, used) = source
+    let (grounding, context, parsed, used) = source
         .compute(move |source| {
-            let (question, parsed) = decide;
+            let parsed = settled(scene_view(source, None), parsed);
             let scoring = ShortlistScoring { query_text: question.query_text, ..ShortlistScoring::default() };
             let (appearance, used) = appearance(source, &question.query, &parsed, scoring, allow_builtin_encoder)?;
             let scene = scene_view(source, appearance.as_ref());
             if !with_review {
-                return Ok((decided(scene, &question, parsed, took).1, None, used));
+                return Ok((decided(scene, &question, parsed.clone(), took).1, None, parsed, used));
             }
-            let (grounding, context) = ground_with_context(scene, &question, parsed, took);
-            Ok((grounding, Some(context), used))
+            let (grounding, context) = ground_with_context(scene, &question, parsed.clone(), took);
+            Ok((grounding, Some(context), parsed, used))
         })
         .await?;
     if let Some(why) = used.missing {
@@ -341,7 +340,10 @@ pub async fn shortlist<S: SceneSource>(
 ) -> Result<Shortlist, S::Error> {
     let parsed = parse(&query);
     source
-        .compute(move |source| shortlist_of(source, &query, &parsed, scoring, allow_builtin_encoder, top_k))
+        .compute(move |source| {
+            let parsed = settled(scene_view(source, None), parsed);
+            shortlist_of(source, &query, &parsed, scoring, allow_builtin_encoder, top_k)
+        })
         .await
 }
 

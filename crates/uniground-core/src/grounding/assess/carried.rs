@@ -33,9 +33,24 @@ const PARTS: &[(&str, &[&str])] = &[
     ("upholstery", &[]),
     ("edge", &[]),
     ("door", &[]),
+    ("foot", &[]),
+    ("body", &[]),
+    ("paint", &[]),
+    ("cover", &[]),
+    ("rim", &[]),
+    ("border", &[]),
+    ("trim", &[]),
+    ("button", &[]),
+    ("cap", &[]),
+    ("strap", &[]),
+    ("front", &[]),
+    ("panel", &[]),
+    ("fabric", &[]),
 ];
 /// Share of its score that a thing keeps when a part is asked for that it is not known for.
 const ODD_PART: f32 = 0.4;
+/// The same where a part has a colour that was not seen on the thing: parts are small.
+const PART_OF_OTHER_COLOUR: f32 = 0.25;
 
 impl Assessor<'_> {
     /// "with the book on it", "with four chairs", "without books", "with the orange seat".
@@ -44,7 +59,7 @@ impl Assessor<'_> {
         if let Some((_, of)) = PARTS.iter().find(|(part, _)| singular(part)) {
             let known = |i: usize| of.is_empty() || of.iter().any(|noun| self.is_named(i, noun));
             for (i, score) in scores.iter_mut().enumerate().filter(|(_, s)| **s > 0.0) {
-                let fit = colours_fit(self.scene, phrase, i) * if known(i) { 1.0 } else { ODD_PART };
+                let fit = colours_fit(self.scene, phrase, i).max(PART_OF_OTHER_COLOUR) * if known(i) { 1.0 } else { ODD_PART };
                 *score *= if *absent { 1.0 } else { fit };
             }
             return;

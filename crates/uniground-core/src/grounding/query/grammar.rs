@@ -4,12 +4,12 @@ mod closing;
 mod opening;
 
 use super::affordances::{self, Affordance};
+use super::beginnings;
 use super::corrections;
 use super::languages;
 use super::observers;
 use super::pieces::{Piece, address, is_bare_noun, is_filler, noun_to_come, pieces};
 use super::rewrites::rewritten;
-use super::said_later;
 use super::situations;
 use super::tokens::{spelling, tokens};
 use super::words::{self, Meaning};
@@ -68,9 +68,8 @@ pub fn parse(query: &str) -> ParsedQuery {
     let foreign = languages::is_foreign(&tokens);
     let tokens = observers::rewritten(&rewritten(corrections::rewritten(situations::left_out(tokens))));
     let tokens = &tokens[address(&tokens)..];
-    let query = read(tokens);
-    let query = said_later::of_a_thing(&query, tokens, read).unwrap_or(query);
-    ParsedQuery { foreign, ..query }
+    let (query, later) = beginnings::readings(tokens, read);
+    ParsedQuery { foreign, later, ..query }
 }
 
 fn read(tokens: &[String]) -> ParsedQuery {

@@ -4,6 +4,8 @@
 //! may read instead ([`VlmParser`], or [`AutoParser`] where the grammar is in [`Doubt`]): one call, checked, with the grammar to fall back on.
 
 mod affordances;
+mod beginnings;
+mod clauses;
 mod corrections;
 mod doubt;
 mod grammar;
@@ -13,7 +15,6 @@ mod parsers;
 mod pieces;
 mod relation_kinds;
 mod rewrites;
-mod said_later;
 mod sides;
 mod situations;
 mod tokens;
@@ -46,6 +47,9 @@ pub struct ParsedQuery {
     pub foreign: bool,
     /// Words that could not be used or checked, and nouns the lexicon does not know.
     pub not_understood: Vec<String>,
+    /// What is asked for if the words name it later ("pop two slices in the toaster"), in order: a scene without what comes first may have one
+    /// of these ([`settled`](super::settled)). They have no later readings themselves.
+    pub later: Vec<ParsedQuery>,
 }
 
 /// Head of an anchor that is the one who asks: "closest to me".

@@ -1,6 +1,6 @@
 //! Ways of saying, rewritten to the one that the tables know.
 
-use super::affordances;
+use super::{affordances, clauses};
 use super::pieces::longest_noun;
 use super::sides;
 use super::tokens::{BREAK, spelling_of_small_words};
@@ -10,10 +10,12 @@ use crate::models::attributes::Lexicon;
 /// Rewrites a query's words.
 pub(super) fn rewritten(mut tokens: Vec<String>) -> Vec<String> {
     slips(&mut tokens);
+    clauses::rewrite(&mut tokens);
     its(&mut tokens);
     of_several(&mut tokens);
     one_for(&mut tokens);
     thing_you_use(&mut tokens);
+    clauses::done_with_it(&mut tokens);
     which_is(&mut tokens);
     stranded(&mut tokens);
     extremes(&mut tokens);
@@ -223,7 +225,7 @@ fn over_at(tokens: &mut Vec<String>) {
 
 /// "put the board away before somebody slips on it": when and why it is wanted does not tell it from others.
 fn until_somebody(tokens: &mut Vec<String>) {
-    const SUBJECTS: [&str; 12] = ["somebody", "someone", "anybody", "anyone", "i", "we", "it", "they", "he", "she", "people", "i'm"];
+    const SUBJECTS: [&str; 13] = ["somebody", "someone", "anybody", "anyone", "i", "we", "it", "they", "he", "she", "people", "i'm", "you"];
     let begins = |i: &usize| {
         matches!(tokens[*i].as_str(), "before" | "because" | "since" | "until" | "till" | "cause" | "cos")
             && tokens.get(i + 1).is_some_and(|next| SUBJECTS.contains(&next.as_str()))
@@ -269,7 +271,7 @@ fn nearest_place(tokens: &mut Vec<String>) {
     let begins = |&i: &usize| {
         matches!(word(i), "nearest" | "closest")
             && matches!(word(i + 1), "place" | "spot" | "thing")
-            && matches!(word(i + 2), "to" | "where")
+            && matches!(word(i + 2), "to" | "where" | "i" | "you" | "we")
     };
     let Some(start) = (0..tokens.len()).find(begins) else { return };
     let nearest = word(start).to_owned();

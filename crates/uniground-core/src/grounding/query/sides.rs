@@ -1,6 +1,7 @@
 //! Ends, corners and sides of things and of the room, rewritten to the few ways that the tables know.
 
 use super::tokens::BREAK;
+use super::words::{self, Meaning};
 use crate::models::attributes::Lexicon;
 
 /// Rewrites a query's words.
@@ -11,6 +12,21 @@ pub(super) fn rewrite(tokens: &mut Vec<String>) {
     sides_of_the_room(tokens);
     ends(tokens);
     far_sides(tokens);
+    side_of_another(tokens);
+}
+
+/// "on the window side of the bed" is next to the bed, closest to the window.
+fn side_of_another(tokens: &mut Vec<String>) {
+    let word = |i: usize| tokens.get(i).map_or("", String::as_str);
+    let told = |&i: &usize| {
+        matches!(word(i), "on" | "at") && word(i + 1) == "the" && Lexicon::get().knows(word(i + 2)) && word(i + 3) == "side" && word(i + 4) == "of"
+    };
+    let Some(at) = (0..tokens.len()).find(told) else { return };
+    let other = tokens[at + 2].clone();
+    let is_end = |&i: &usize| word(i) == BREAK || matches!(words::longest(&[word(i)]), Some((Meaning::Relation(_), _))) || word(i) == "there";
+    let end = (at + 5..tokens.len()).find(is_end).unwrap_or(tokens.len());
+    tokens.splice(end..end, ["closest".to_owned(), "to".to_owned(), "the".to_owned(), other]);
+    tokens.splice(at..at + 5, ["next".to_owned(), "to".to_owned()]);
 }
 
 /// "the left - most table" is the leftmost; of points of the compass nothing is known.

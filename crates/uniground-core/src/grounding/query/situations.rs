@@ -71,7 +71,9 @@ pub(super) fn left_out(mut tokens: Vec<String>) -> Vec<String> {
         &tokens[starts[k].min(end)..end]
     };
     let first = (0..starts.len()).take_while(|&k| is_of_themselves(clause(k))).count();
-    let names = |rest: &[String]| rest.iter().any(|word| Lexicon::get().knows(word)) || affordances::find(rest).is_some();
+    // "can we keep it" names nothing.
+    let is_noun = |word: &String| Lexicon::get().knows(word) && word != "can";
+    let names = |rest: &[String]| rest.iter().any(is_noun) || affordances::find(rest).is_some();
     if (1..starts.len()).contains(&first) && asks(clause(first)) && names(&tokens[starts[first]..]) {
         tokens.drain(..starts[first]);
     }
@@ -80,7 +82,13 @@ pub(super) fn left_out(mut tokens: Vec<String>) -> Vec<String> {
 
 fn is_of_themselves(clause: &[String]) -> bool {
     let word = |i: usize| clause.get(i).map_or("", String::as_str);
-    let speaks = clause.is_empty() || OF_THEMSELVES.contains(&word(0));
+    // "my red mug, please" is a wish.
+    let owns = matches!(word(0), "my" | "our");
+    let describes = |word: &String| {
+        let known = words::longest(&[word]).map(|(meaning, _)| meaning);
+        matches!(known, Some(Meaning::Determiner | Meaning::Colour(_) | Meaning::Trait(_))) || Lexicon::get().knows(word)
+    };
+    let speaks = clause.is_empty() || OF_THEMSELVES.contains(&word(0)) && !(owns && clause.iter().all(describes));
     // A place somebody looks from is part of the question, and so is a wish.
     let tells = clause.iter().take(4).any(|word| WISHES.contains(&word.as_str()))
         || clause

@@ -1,0 +1,37 @@
+//! Which of several readings of a question is meant: the first that the scene bears out.
+//!
+//! "Scrape the plate into the red bin" may ask for a plate or for a bin, and "my back hurts, I'll take the wooden chair" names a back
+//! before the chair. Words alone can not tell; what the room has can.
+
+use super::SceneView;
+use super::assess::Assessor;
+use super::direction::DirectionConvention;
+use super::query::{ParsedQuery, Phrase};
+
+/// Something is called what is asked for when its name fits this well.
+const CALLED: f32 = 0.35;
+/// And is meant when this is left of that by its looks and by where it is.
+const BORNE_OUT: f32 = 0.2;
+
+/// The reading to answer, of a question's likeliest one and its [later](ParsedQuery::later) ones; the likeliest where none is borne out.
+#[must_use]
+pub fn settled(scene: SceneView, parsed: ParsedQuery) -> ParsedQuery {
+    if parsed.later.is_empty() || parsed.foreign {
+        return parsed;
+    }
+    // Names and measures decide: an encoder is asked for the words of one reading only.
+    let assessor = Assessor::new(SceneView { appearance: None, ..scene }, DirectionConvention::default().into());
+    if is_borne_out(&assessor, &parsed.target) {
+        return parsed;
+    }
+    match parsed.later.iter().position(|later| is_borne_out(&assessor, &later.target)) {
+        None => parsed,
+        Some(later) => ParsedQuery { later: Vec::new(), ..parsed.later[later].clone() },
+    }
+}
+
+fn is_borne_out(assessor: &Assessor, target: &Phrase) -> bool {
+    let assessment = assessor.assess(target);
+    let meant = |(noun, total): (&f32, &f32)| *noun >= CALLED && *total >= BORNE_OUT * noun;
+    assessment.nouns.iter().zip(&assessment.total).any(meant)
+}
