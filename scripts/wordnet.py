@@ -17,8 +17,8 @@ from pathlib import Path
 ARTIFACT, ANIMAL, FOOD, OBJECT, PLANT = 6, 5, 13, 17, 20
 THINGS = {ARTIFACT, OBJECT}
 OCCURRING = {ANIMAL, FOOD, PLANT}
-# Kinds that are named all the same: whatever is one of them stands in a pot or a vase.
-NAMED = {"vascular plant"}
+# Kinds that are named all the same: whatever is one of them stands in a pot or a vase, or is held by something.
+NAMED = {"vascular plant", "food"}
 # WordNet has no words of these kinds.
 SMALL_WORDS = """
 about above across after again against all along also although always among an and any anybody anyone anything anywhere are around as at

@@ -21,7 +21,9 @@ pub fn settled(scene: SceneView, parsed: ParsedQuery) -> ParsedQuery {
     }
     // Names and measures decide: an encoder is asked for the words of one reading only.
     let assessor = Assessor::new(SceneView { appearance: None, ..scene }, DirectionConvention::default().into());
-    if is_borne_out(&assessor, &parsed.target) {
+    // Words without any noun fit something everywhere.
+    let is_named = !(parsed.target.head.is_empty() && parsed.target.uses.is_empty());
+    if is_named && is_borne_out(&assessor, &parsed.target) {
         return parsed;
     }
     match parsed.later.iter().position(|later| is_borne_out(&assessor, &later.target)) {

@@ -60,7 +60,11 @@ impl Assessor<'_> {
             let known = |i: usize| of.is_empty() || of.iter().any(|noun| self.is_named(i, noun));
             for (i, score) in scores.iter_mut().enumerate().filter(|(_, s)| **s > 0.0) {
                 let fit = colours_fit(self.scene, phrase, i).max(PART_OF_OTHER_COLOUR) * if known(i) { 1.0 } else { ODD_PART };
-                *score *= if *absent { 1.0 } else { fit };
+                *score *= match *absent {
+                    true if !of.is_empty() && known(i) => ODD_PART,
+                    true => 1.0,
+                    false => fit,
+                };
             }
             return;
         }

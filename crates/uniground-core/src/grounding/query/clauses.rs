@@ -8,6 +8,7 @@ use crate::models::attributes::Lexicon;
 /// Rewrites a query's words.
 pub(super) fn rewrite(tokens: &mut Vec<String>) {
     asked(tokens);
+    wanted_of_it(tokens);
     left_there(tokens);
     run_together(tokens);
     likened(tokens);
@@ -17,6 +18,7 @@ pub(super) fn rewrite(tokens: &mut Vec<String>) {
     rather_than(tokens);
     one_noun_for_two(tokens);
     beside_the_bed(tokens);
+    what_it_stands_on(tokens);
 }
 
 fn meaning(tokens: &[String], i: usize) -> Option<Meaning> {
@@ -59,6 +61,43 @@ fn asked(tokens: &mut Vec<String>) {
         None => {
             tokens.drain(from..=at);
         }
+    }
+}
+
+/// "leave it by the door", "can you see if my keys are there": what is to be done with the thing, after it was named.
+fn wanted_of_it(tokens: &mut Vec<String>) {
+    const POLITE: [&str; 7] = ["can", "could", "would", "will", "you", "please", "just"];
+    const VERBS: [&str; 30] = [
+        "leave", "put", "turn", "take", "bring", "hang", "move", "carry", "give", "hand", "pass", "throw", "tape", "push", "pull", "open", "close", "shut",
+        "clean", "wipe", "fix", "keep", "place", "set", "get", "switch", "drop", "lift", "roll", "wheel",
+    ];
+    let names = |clause: &[String]| clause.iter().any(|word| longest_noun(&[word.as_str()]).is_some_and(|_| !POLITE.contains(&word.as_str())));
+    let mut end = tokens.len();
+    while end > 0 {
+        let start = tokens[..end].iter().rposition(|token| token == BREAK).map_or(0, |at| at + 1);
+        let verb = (start..end).find(|&i| !POLITE.contains(&tokens[i].as_str())).unwrap_or(end);
+        let does_it = is(tokens, verb, &VERBS) && is(tokens, verb + 1, &["it", "them", "him", "her"]) && !is_article(tokens, verb + 2);
+        let looks_whether = is(tokens, verb, &["see", "check", "look", "tell"]) && (verb..end.min(verb + 3)).any(|i| is(tokens, i, &["if", "whether"]));
+        if verb < end && start > 0 && (does_it || looks_whether) && names(&tokens[..start]) {
+            tokens.drain(start..end);
+        }
+        end = start.saturating_sub(1);
+    }
+}
+
+/// "what the telly stands on" is a thing with the telly.
+fn what_it_stands_on(tokens: &mut Vec<String>) {
+    const PLACED: [&str; 11] = ["is", "stands", "stood", "sits", "sat", "standing", "sitting", "lies", "lying", "hangs", "resting"];
+    let end = end_of_clause(tokens, 0);
+    if !is(tokens, 0, &["what", "what's"]) || !is_article(tokens, 1) {
+        return;
+    }
+    let Some(length) = longest_noun(&run(tokens, 2)) else { return };
+    let verbs = (2 + length..end).take_while(|&i| PLACED.contains(&tokens[i].as_str())).count();
+    let on = 2 + length + verbs;
+    if is(tokens, on, &["on", "in"]) && on + 1 == end {
+        tokens.drain(2 + length..end);
+        tokens.splice(..1, ["thing", "with"].map(str::to_owned));
     }
 }
 
@@ -214,6 +253,10 @@ mod tests {
             ("where did my son drop his bag", "his bag"),
             ("where did i put my laptop", "put my laptop"),
             ("where has the post gone", "the post gone"),
+            ("the grey chair, leave it by the door", "the grey chair ,"),
+            ("somebody's bag by the sofa, can you see if my keys are in it", "somebody bag by the sofa ,"),
+            ("the grey chair, it is by the door", "the grey chair , it is by the door"),
+            ("what the telly's stood on", "thing with the telly"),
             ("the bedside lamp on the left", "lamp by the bed on the left"),
             ("be a dear and fetch my mug", "be a dear , fetch my mug"),
             ("my back hurts so i'll have the chair", "my back hurts , i'll have the chair"),

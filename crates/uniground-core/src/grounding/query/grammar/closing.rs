@@ -131,6 +131,11 @@ impl Reader {
         if look == Look::From {
             self.query.standpoint = Some(anchor.clone());
         }
+        // "at the foot of the bed, looking at the headboard": at the bed.
+        let anchor = match &self.query.standpoint {
+            Some(standpoint) if look == Look::Facing && words::is_part_of_furniture(&anchor.head) => standpoint.clone(),
+            _ => anchor,
+        };
         let keeps = look == Look::From && self.query.viewpoint.as_ref().is_some_and(|v| v.look != Look::From);
         if !keeps {
             self.query.viewpoint = Some(Viewpoint { look, anchor });
