@@ -195,6 +195,14 @@ pub fn trait_fits(instances: &[Instance], solids: &[Solid], nouns: &[f32], asked
         Trait::Rectangular => return solids.iter().map(|s| OPPOSITE_TRAIT.max(((1.0 - squareness(s)) / 0.25).min(1.0))).collect(),
         _ => {}
     }
+    // Of two sofas of nearly one size both are large: 0 at half as large, 1 at nine tenths. Lightness is no size.
+    let nearly = |measured: f32, utmost: f32| match asked {
+        Trait::Light | Trait::Dark => 0.0,
+        _ => {
+            let ratio = if utmost > 0.0 { measured / utmost } else { utmost / measured.min(-f32::EPSILON) };
+            ((ratio - 0.5) / 0.4).clamp(0.0, 1.0)
+        }
+    };
     let best = nouns.iter().copied().fold(0.0, f32::max);
     let mut rivals: Vec<f32> = (0..nouns.len()).filter(|&i| best > 0.0 && nouns[i] >= PLAUSIBLE * best).map(measure).collect();
     rivals.sort_by(f32::total_cmp);
@@ -203,7 +211,8 @@ pub fn trait_fits(instances: &[Instance], solids: &[Solid], nouns: &[f32], asked
             return 1.0;
         }
         let smaller = rivals.partition_point(|r| *r < measure(i)).min(rivals.len() - 1);
-        OPPOSITE_TRAIT + (1.0 - OPPOSITE_TRAIT) * smaller as f32 / (rivals.len() - 1) as f32
+        let by_rank = smaller as f32 / (rivals.len() - 1) as f32;
+        OPPOSITE_TRAIT + (1.0 - OPPOSITE_TRAIT) * by_rank.max(nearly(measure(i), rivals[rivals.len() - 1]))
     };
     (0..nouns.len()).map(place).collect()
 }

@@ -8,7 +8,7 @@ const BROADER_WORD: f32 = 0.9;
 /// How much less a kind fits a broader word that is hardly ever met, against one that is met everywhere.
 const EXOTIC: f32 = 0.125;
 /// A thing that was given a broader name than the one asked for may be meant.
-const BROADER_NAME: f32 = 0.5;
+pub(super) const BROADER_NAME: f32 = 0.5;
 /// The same where the name is the last word of what is asked for: "stool" for a bar stool.
 const ITS_LAST_WORD: f32 = 0.7;
 /// The same where the name says what else it is for: a "salad bowl" for a dog bowl.

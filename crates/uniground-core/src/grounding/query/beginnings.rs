@@ -12,9 +12,10 @@ use crate::models::attributes::WordNet;
 const MOST_READINGS: usize = 6;
 
 /// What is done with one thing to another: "chuck the peel in the bin" asks for the bin where no peel is to be found.
-const DESTINED: [&str; 36] = [
+const DESTINED: [&str; 40] = [
     "put", "pop", "place", "stick", "chuck", "throw", "toss", "drop", "dump", "scrape", "pour", "tip", "hang", "lay", "set", "leave", "store", "pack",
     "load", "shove", "slide", "stow", "empty", "plug", "pin", "wipe", "spread", "press", "stack", "sort", "lock", "write", "draw", "sit", "lie", "climb",
+    "go", "goes", "belongs", "lives",
 ];
 
 /// Where that other thing is told.
@@ -29,7 +30,7 @@ pub(super) fn readings(tokens: &[String], read: impl Fn(&[String]) -> ParsedQuer
     let starts = objects.iter().chain(&others).take(MOST_READINGS);
     let mut later: Vec<ParsedQuery> = starts.map(|&start| read(&from(tokens, start))).filter(tells_a_thing).collect();
     // "finished with today's newspaper": what was taken for a thing is what somebody does.
-    if let (Meaning::Unknown, [With { phrase, absent: false }]) = (first.target.meaning(), &first.target.with[..]) {
+    if let (Meaning::Unknown, [With { phrase, .. }]) = (first.target.meaning(), &first.target.with[..]) {
         later.push(ParsedQuery { target: phrase.clone(), ..ParsedQuery::default() });
     }
     let begins_later = if objects.is_empty() { !tells_a_thing(&first) } else { !at_once };
@@ -85,6 +86,8 @@ impl Beginnings {
             clause.destined |= DESTINED.contains(&run[0]);
             let noun = longest_noun(&run);
             let (meaning, length) = match (noun, words::longest(&run)) {
+                // "in that basket", but not "the basket that".
+                _ if run[0] == "that" && !clause.at_noun => (Some(Word::Determiner), 1),
                 (Some(noun), word) if word.is_none_or(|(_, length)| noun >= length) => (None, noun),
                 (_, Some((meaning, length))) => (Some(meaning), length),
                 _ => (None, 1),
@@ -100,12 +103,14 @@ impl Beginnings {
                 Some(Word::Determiner) if clause.to_another => found.others.push(at),
                 // "wait by the door", "careful with the pot": no thing was named that could be there.
                 Some(Word::Determiner) if clause.said && !(clause.led && clause.named) && !clause.looks => found.objects.push(at),
-                // "it's on the table" speaks of what was named before.
-                Some(Word::OfTarget | Word::Pronoun | Word::ThereIs) => clause.named = true,
+                // "it's on the table", "it won't go through the door" speak of what was named before.
+                Some(Word::OfTarget | Word::Pronoun) if !clause.said => clause.looks = true,
+                Some(Word::ThereIs) => clause.named = true,
                 Some(Word::View(_) | Word::Seated | Word::Entering) => clause.looks = true,
                 Some(Word::Relation(_) | Word::With { .. } | Word::Of | Word::And | Word::Not | Word::As) => clause.led = true,
                 Some(_) => {}
             }
+            clause.at_noun = meaning.is_none();
             clause.determined |= meaning == Some(Word::Determiner);
             clause.to_another = clause.destined && clause.said && DESTINATIONS.contains(&run[0]);
             sentence |= meaning != Some(Word::Filler);
@@ -126,13 +131,15 @@ struct Clause {
     named: bool,
     /// An article came.
     determined: bool,
+    /// The last word was a noun, or one that nobody knows.
+    at_noun: bool,
     /// The last word that carries something leads to another thing: "next to", "with", "of".
     led: bool,
     /// Something is put somewhere.
     destined: bool,
     /// The word before is the way there.
     to_another: bool,
-    /// It tells how somebody stands and looks.
+    /// It tells how somebody stands and looks, or more of what was named before: it names nothing itself.
     looks: bool,
 }
 

@@ -12,6 +12,7 @@ pub(super) fn rewrite(tokens: &mut Vec<String>) {
     left_there(tokens);
     run_together(tokens);
     likened(tokens);
+    bright(tokens);
     wanting(tokens);
     look_at(tokens);
     where_another_is(tokens);
@@ -131,11 +132,15 @@ fn left_there(tokens: &mut Vec<String>) {
 }
 
 /// "so I'll have the chair", "and fetch my mug": another clause begins.
-fn run_together(tokens: &mut [String]) {
+fn run_together(tokens: &mut Vec<String>) {
     const WHO: [&str; 16] =
         ["i", "i'll", "i'd", "we", "we'll", "you", "he", "she", "they", "bring", "can", "could", "please", "let", "where's", "there's"];
     const WANTED: [&str; 16] =
         ["fetch", "bring", "get", "grab", "take", "find", "show", "give", "hand", "pass", "go", "drive", "point", "pick", "put", "tell"];
+    // "my mate wants to sit on the beanbag"
+    if let Some(i) = (2..tokens.len()).find(|&i| is(tokens, i, &["wants", "needs", "has", "wanted"]) && is(tokens, i + 1, &["to"])) {
+        tokens.splice(i..i + 2, [BREAK.to_owned()]);
+    }
     for i in 1..tokens.len() {
         let begins = match tokens[i].as_str() {
             "so" | "but" => is(tokens, i + 1, &WHO) || is_article(tokens, i + 1),
@@ -165,9 +170,17 @@ fn likened(tokens: &mut Vec<String>) {
     }
 }
 
+/// "bright orange" is orange.
+fn bright(tokens: &mut Vec<String>) {
+    let is_shade = |i: &usize| is(tokens, *i, &["bright", "vivid", "deep", "rich", "strong"]) && matches!(meaning(tokens, i + 1), Some(Meaning::Colour(_)));
+    if let Some(at) = (0..tokens.len()).find(is_shade) {
+        tokens.remove(at);
+    }
+}
+
 /// "the lamp needs a new bulb": what a thing lacks is not there to be found.
 fn wanting(tokens: &mut Vec<String>) {
-    let begins = |i: &usize| is(tokens, *i, &["needs", "wants", "requires", "deserves"]) && is(tokens, i + 1, &["a", "an", "some", "new", "more", "to"]);
+    let begins = |i: &usize| is(tokens, *i, &["needs", "wants", "requires", "deserves"]) && is(tokens, i + 1, &["a", "an", "some", "new", "more"]);
     if let Some(start) = (2..tokens.len()).find(begins) {
         let end = end_of_clause(tokens, start);
         tokens.drain(start..end);

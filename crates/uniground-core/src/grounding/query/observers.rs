@@ -41,7 +41,7 @@ const AT: [&[&str]; 14] = [
     &["against"],
     &["under"],
 ];
-const TOWARDS: [&str; 9] = ["at", "to", "toward", "towards", "into", "onto", "across", "over", "through"];
+const TOWARDS: [&str; 10] = ["of", "at", "to", "toward", "towards", "into", "onto", "across", "over", "through"];
 const THROUGH: [&str; 9] = ["in", "into", "inside", "through", "by", "from", "via", "at", "to"];
 const ROOMS: [&str; 9] = ["room", "kitchen", "office", "bedroom", "bathroom", "place", "apartment", "house", "garage"];
 
@@ -121,7 +121,7 @@ fn clause(tokens: &[String], starts: bool, somebody: bool) -> Option<(&'static [
             let length = at(tokens, i).map_or(i, |(_, length)| length);
             Some((&[], length + if ROOMS.contains(&word(length)) { 1 } else { 2 }))
         }
-        Act::Be => at(tokens, i).or((word(i) == "facing" || word(i) == "and" && LOOK.contains(&word(i + 1))).then_some((&[][..], i))),
+        Act::Be => at(tokens, i).or((LOOK.contains(&word(i)) || word(i) == "and" && LOOK.contains(&word(i + 1))).then_some((&[][..], i))),
         Act::Look if plain && !TOWARDS.contains(&word(i)) => Some((&["when", "you", "face"], i)),
         Act::Look if word(i) == "from" => Some((&["when", "you", "stand", "at"], i + 1)),
         Act::Look => {

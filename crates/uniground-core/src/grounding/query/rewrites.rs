@@ -35,7 +35,7 @@ pub(super) fn rewritten(mut tokens: Vec<String>) -> Vec<String> {
 
 /// "somethng", "theres": small words that were misspelt.
 fn slips(tokens: &mut Vec<String>) {
-    const LEFT_OUT: [(&str, &str); 14] = [
+    const LEFT_OUT: [(&str, &str); 18] = [
         ("u", "you"),
         ("ur", "your"),
         ("thru", "through"),
@@ -48,6 +48,10 @@ fn slips(tokens: &mut Vec<String>) {
         ("wheres", "where's"),
         ("isnt", "isn't"),
         ("id", "i'd"),
+        ("cant", "can't"),
+        ("dont", "don't"),
+        ("wont", "won't"),
+        ("whose", "with"),
         ("infront", "in front"),
         ("ontop", "on top"),
     ];
@@ -64,6 +68,7 @@ fn slips(tokens: &mut Vec<String>) {
         match (tokens[i - 1].as_str(), tokens[i].as_str()) {
             ("closes" | "closet", "to") => "closest".clone_into(&mut tokens[i - 1]),
             ("it's" | "that's" | "it" | "that", "got") => "has".clone_into(&mut tokens[i]),
+            (thing, "got") if longest_noun(&[thing]).is_some() => "has".clone_into(&mut tokens[i]),
             _ => {}
         }
     }

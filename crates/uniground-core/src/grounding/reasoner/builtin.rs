@@ -8,6 +8,7 @@ use super::explanation::{explain, explain_several, explain_tie, relation_words, 
 use super::views::{View, views};
 use crate::grounding::assess::{Assessment, Assessor};
 use crate::grounding::fit::{colours_fit, most_plausible};
+use crate::grounding::kinds::BROADER_NAME;
 use crate::grounding::query::{Meaning, ParsedQuery, Phrase, Quantity};
 use crate::grounding::readings::Readings;
 use crate::grounding::{NoMatchReason, SceneView, Status};
@@ -28,6 +29,8 @@ const MIN_SCORE: f32 = 0.12;
 const NOT_ALL_UNDERSTOOD: f32 = 0.6;
 /// The same where no noun tells what the thing is: anything may stand there.
 const NO_NOUN: f32 = 0.6;
+/// The same where what somebody called the thing is only a broader word for what is asked for: a "pot" for a frying pan.
+const CALLED_BROADER: f32 = 0.6;
 /// A measured relation that holds less than this does not hold.
 const PLAINLY_AGAINST: f32 = 0.15;
 /// A rival this close in score is as good.
@@ -96,7 +99,8 @@ pub fn decide(assessor: &mut Assessor, parsed: &ParsedQuery) -> Verdict {
     let understood = if parsed.not_understood.is_empty() { 1.0 } else { NOT_ALL_UNDERSTOOD };
     let named = if parsed.target.meaning() == Meaning::Anything { NO_NOUN } else { 1.0 };
     for (i, belief) in beliefs.iter_mut().enumerate() {
-        *belief = understood * named * share_right(*belief, NamesFrom::of(assessor.scene, i));
+        let called = if assessor.scene.names.get(i).is_some() && assessment.nouns[i] <= BROADER_NAME { CALLED_BROADER } else { 1.0 };
+        *belief = called * understood * named * share_right(*belief, NamesFrom::of(assessor.scene, i));
     }
     Verdict {
         status,

@@ -199,7 +199,7 @@ impl Lexicon {
         let names = |noun: &Noun| std::iter::once(&noun.name).chain(&noun.synonyms).cloned().collect::<Vec<_>>();
         let called_after = |noun: &&Noun| {
             let container = noun.kinds.iter().any(|kind| kind == "container");
-            container && names(noun).iter().any(|name| name.strip_prefix(word).is_some_and(|rest| rest.starts_with(' ')))
+            container && names(noun).iter().any(|name| name.strip_prefix(word).is_some_and(|rest| rest.strip_prefix(' ').is_some_and(|container| self.knows(container))))
         };
         let is_plant = WordNet::get().is_a(word, PLANT);
         // Tulips are no cactus.

@@ -180,6 +180,15 @@ impl Reader {
         // "over at the table, the chair": where it is was said first.
         let unnamed = words::is_anything(&target.head) && target.uses.is_empty();
         let same = unnamed || words::is_anything(&more.head) || more.head == target.head || same_thing(&more, target);
+        // "the red stool, the green one wobbles" speaks of another.
+        let of_another = same
+            && !target.colours.is_empty()
+            && !more.colours.is_empty()
+            && !more.colours.iter().any(|colour| target.colours.contains(colour))
+            && matches!(more.head.as_str(), "one" | "ones" | "thing");
+        if of_another {
+            return;
+        }
         if same {
             target.unchecked.append(&mut more.unchecked);
             target.count = target.count.or(more.count);
