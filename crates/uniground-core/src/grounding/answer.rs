@@ -193,7 +193,7 @@ fn summarise(parsed: &ParsedQuery) -> ParsedQuerySummary {
         attributes: traits.chain(colours).chain(other_than).chain(with).chain(uses).chain(superlative).collect(),
         anchors: Vec::new(),
         relations: Vec::new(),
-        not_understood: parsed.not_understood.clone(),
+        not_understood: parsed.not_understood.iter().chain(&parsed.passed_over).cloned().collect(),
     };
     collect_anchors(target, &mut summary);
     let looked_at = parsed.viewpoint.iter().map(|v| &v.anchor);

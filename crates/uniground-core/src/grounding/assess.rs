@@ -165,7 +165,9 @@ impl<'a> Assessor<'a> {
             // Where all that may be meant is called so as well ("the football, not the basketball", and both are balls), names do not tell.
             let likely = most_plausible(&own, usize::MAX);
             let shared = likely.iter().map(|&(i, _)| others[i]).fold(1.0, f32::min);
-            own.iter_mut().zip(others).for_each(|(score, other)| *score *= 1.0 - 0.95 * (other - shared).max(0.0));
+            own.iter_mut()
+                .zip(others)
+                .for_each(|(score, other)| *score *= 1.0 - 0.95 * (other - shared).max(0.0));
         }
         for with in &phrase.with {
             self.apply_with(with, &mut own);

@@ -13,9 +13,9 @@ const MOST_READINGS: usize = 6;
 
 /// What is done with one thing to another: "chuck the peel in the bin" asks for the bin where no peel is to be found.
 const DESTINED: [&str; 40] = [
-    "put", "pop", "place", "stick", "chuck", "throw", "toss", "drop", "dump", "scrape", "pour", "tip", "hang", "lay", "set", "leave", "store", "pack",
-    "load", "shove", "slide", "stow", "empty", "plug", "pin", "wipe", "spread", "press", "stack", "sort", "lock", "write", "draw", "sit", "lie", "climb",
-    "go", "goes", "belongs", "lives",
+    "put", "pop", "place", "stick", "chuck", "throw", "toss", "drop", "dump", "scrape", "pour", "tip", "hang", "lay", "set", "leave",
+    "store", "pack", "load", "shove", "slide", "stow", "empty", "plug", "pin", "wipe", "spread", "press", "stack", "sort", "lock", "write",
+    "draw", "sit", "lie", "climb", "go", "goes", "belongs", "lives",
 ];
 
 /// Where that other thing is told.
@@ -25,14 +25,17 @@ const DESTINATIONS: [&str; 10] = ["in", "into", "inside", "on", "onto", "to", "o
 pub(super) fn readings(tokens: &[String], read: impl Fn(&[String]) -> ParsedQuery) -> (ParsedQuery, Vec<ParsedQuery>) {
     let first = read(tokens);
     // Of food and drink, what holds it may be meant: "the milk is in the larger fridge".
-    let is_held = ["food", "beverage", "foodstuff", "nutriment"].iter().any(|kind| WordNet::get().is_a(&first.target.head, kind));
+    let is_held = ["food", "beverage", "foodstuff", "nutriment"]
+        .iter()
+        .any(|kind| WordNet::get().is_a(&first.target.head, kind));
     let Beginnings { at_once, objects, others } = Beginnings::of(tokens, is_held);
     let starts = objects.iter().chain(&others).take(MOST_READINGS);
-    let mut later: Vec<ParsedQuery> = starts.map(|&start| read(&from(tokens, start))).filter(tells_a_thing).collect();
+    let mut later: Vec<ParsedQuery> = starts.map(|&start| from(tokens, start, &read)).filter(tells_a_thing).collect();
     // "finished with today's newspaper": what was taken for a thing is what somebody does.
     if let (Meaning::Unknown, [With { phrase, .. }]) = (first.target.meaning(), &first.target.with[..]) {
         later.push(ParsedQuery { target: phrase.clone(), ..ParsedQuery::default() });
     }
+    later.retain(|reading| reading.target != first.target);
     let begins_later = if objects.is_empty() { !tells_a_thing(&first) } else { !at_once };
     if !begins_later || later.is_empty() {
         return (first, later);
@@ -42,11 +45,15 @@ pub(super) fn readings(tokens: &[String], read: impl Fn(&[String]) -> ParsedQuer
     (likeliest, later)
 }
 
-/// A sentence from a word on. How somebody stands and looks was told before: that holds for what follows.
-fn from(tokens: &[String], start: usize) -> Vec<String> {
-    let clauses = tokens[..start].split_inclusive(|token| token == BREAK);
-    let looks = clauses.filter(|clause| clause.ends_with(&[BREAK.to_owned()]) && tells_a_view(clause));
-    looks.flatten().chain(&tokens[start..]).cloned().collect()
+/// What a sentence says from a word on. How somebody stands and looks was told before: that holds for what follows. What was passed over is
+/// told.
+fn from(tokens: &[String], start: usize, read: impl Fn(&[String]) -> ParsedQuery) -> ParsedQuery {
+    let is_kept = |clause: &&[String]| clause.ends_with(&[BREAK.to_owned()]) && tells_a_view(clause);
+    let (looks, passed): (Vec<&[String]>, Vec<&[String]>) = tokens[..start].split_inclusive(|token| token == BREAK).partition(is_kept);
+    let carries_nothing = |word: &&String| *word == BREAK || words::longest(&[word]).is_some();
+    let passed_over = passed.into_iter().flatten().filter(|word| !carries_nothing(word)).cloned().collect();
+    let rest: Vec<String> = looks.into_iter().flatten().chain(&tokens[start..]).cloned().collect();
+    ParsedQuery { passed_over, ..read(&rest) }
 }
 
 fn tells_a_view(clause: &[String]) -> bool {
@@ -74,6 +81,8 @@ impl Beginnings {
             let run: Vec<&str> = words[at..].iter().copied().take_while(|word| *word != BREAK).collect();
             if run.is_empty() {
                 at += 1;
+                // How somebody stands and looks was told: the thing is still to come.
+                sentence &= !clause.looks;
                 // "chuck this away for me, in the bin"
                 let it_is = usize::from(words.get(at) == Some(&"it's"));
                 let goes_on = words.get(at + it_is).is_some_and(|next| DESTINATIONS.contains(next));
@@ -100,11 +109,15 @@ impl Beginnings {
                     clause.named |= is_thing || clause.determined;
                     (clause.said, clause.led) = (true, false);
                 }
-                Some(Word::Determiner) if clause.to_another => found.others.push(at),
+                Some(Word::Determiner) if clause.to_another && !clause.looks => found.others.push(at),
                 // "wait by the door", "careful with the pot": no thing was named that could be there.
                 Some(Word::Determiner) if clause.said && !(clause.led && clause.named) && !clause.looks => found.objects.push(at),
                 // "it's on the table", "it won't go through the door" speak of what was named before.
-                Some(Word::OfTarget | Word::Pronoun) if !clause.said => clause.looks = true,
+                Some(Word::OfTarget | Word::Pronoun)
+                    if !clause.said || run.get(length).is_some_and(|next| matches!(*next, "is" | "was")) =>
+                {
+                    clause.looks = true;
+                }
                 Some(Word::ThereIs) => clause.named = true,
                 Some(Word::View(_) | Word::Seated | Word::Entering) => clause.looks = true,
                 Some(Word::Relation(_) | Word::With { .. } | Word::Of | Word::And | Word::Not | Word::As) => clause.led = true,
@@ -156,7 +169,10 @@ fn names_something(clause: &[&str]) -> bool {
         clause[first] != BREAK
             && matches!(
                 words::longest(&clause[first..]),
-                None | Some((Word::Determiner | Word::Colour(_) | Word::Trait(_) | Word::Number(_) | Word::Ordinal(_) | Word::Superlative(_), _))
+                None | Some((
+                    Word::Determiner | Word::Colour(_) | Word::Trait(_) | Word::Number(_) | Word::Ordinal(_) | Word::Superlative(_),
+                    _
+                ))
             )
     })
 }
@@ -202,7 +218,7 @@ mod tests {
             assert_eq!(heads(query)[0], first, "{query}: {:?}", heads(query));
         }
         let read = parse("if you stand facing the window, draw the curtain on the right");
-        assert!(read.viewpoint.is_some() && read.not_understood.is_empty(), "{read:?}");
+        assert!(read.viewpoint.is_some() && read.not_understood.is_empty() && read.passed_over == ["draw"], "{read:?}");
     }
 
     #[test]

@@ -69,16 +69,21 @@ fn asked(tokens: &mut Vec<String>) {
 fn wanted_of_it(tokens: &mut Vec<String>) {
     const POLITE: [&str; 7] = ["can", "could", "would", "will", "you", "please", "just"];
     const VERBS: [&str; 30] = [
-        "leave", "put", "turn", "take", "bring", "hang", "move", "carry", "give", "hand", "pass", "throw", "tape", "push", "pull", "open", "close", "shut",
-        "clean", "wipe", "fix", "keep", "place", "set", "get", "switch", "drop", "lift", "roll", "wheel",
+        "leave", "put", "turn", "take", "bring", "hang", "move", "carry", "give", "hand", "pass", "throw", "tape", "push", "pull", "open",
+        "close", "shut", "clean", "wipe", "fix", "keep", "place", "set", "get", "switch", "drop", "lift", "roll", "wheel",
     ];
-    let names = |clause: &[String]| clause.iter().any(|word| longest_noun(&[word.as_str()]).is_some_and(|_| !POLITE.contains(&word.as_str())));
+    let names = |clause: &[String]| {
+        clause
+            .iter()
+            .any(|word| longest_noun(&[word.as_str()]).is_some_and(|_| !POLITE.contains(&word.as_str())))
+    };
     let mut end = tokens.len();
     while end > 0 {
         let start = tokens[..end].iter().rposition(|token| token == BREAK).map_or(0, |at| at + 1);
         let verb = (start..end).find(|&i| !POLITE.contains(&tokens[i].as_str())).unwrap_or(end);
         let does_it = is(tokens, verb, &VERBS) && is(tokens, verb + 1, &["it", "them", "him", "her"]) && !is_article(tokens, verb + 2);
-        let looks_whether = is(tokens, verb, &["see", "check", "look", "tell"]) && (verb..end.min(verb + 3)).any(|i| is(tokens, i, &["if", "whether"]));
+        let looks_whether =
+            is(tokens, verb, &["see", "check", "look", "tell"]) && (verb..end.min(verb + 3)).any(|i| is(tokens, i, &["if", "whether"]));
         if verb < end && start > 0 && (does_it || looks_whether) && names(&tokens[..start]) {
             tokens.drain(start..end);
         }
@@ -161,7 +166,8 @@ fn run_together(tokens: &mut Vec<String>) {
 /// "the taller plant, like a small palm": what it is likened to is no second thing.
 fn likened(tokens: &mut Vec<String>) {
     let begins = |i: &usize| {
-        let likened = is(tokens, *i, &["like"]) && is(tokens, i + 1, &["a", "an"]) || is(tokens, *i, &["looks"]) && is(tokens, i + 1, &["like", "a", "all"]);
+        let likened = is(tokens, *i, &["like"]) && is(tokens, i + 1, &["a", "an"])
+            || is(tokens, *i, &["looks"]) && is(tokens, i + 1, &["like", "a", "all"]);
         likened && !is(tokens, i - 1, &["i'd", "would", "i", "we", "we'd", "you", "something", "d"])
     };
     if let Some(start) = (1..tokens.len()).find(begins) {
@@ -172,7 +178,9 @@ fn likened(tokens: &mut Vec<String>) {
 
 /// "bright orange" is orange.
 fn bright(tokens: &mut Vec<String>) {
-    let is_shade = |i: &usize| is(tokens, *i, &["bright", "vivid", "deep", "rich", "strong"]) && matches!(meaning(tokens, i + 1), Some(Meaning::Colour(_)));
+    let is_shade = |i: &usize| {
+        is(tokens, *i, &["bright", "vivid", "deep", "rich", "strong"]) && matches!(meaning(tokens, i + 1), Some(Meaning::Colour(_)))
+    };
     if let Some(at) = (0..tokens.len()).find(is_shade) {
         tokens.remove(at);
     }
@@ -180,7 +188,8 @@ fn bright(tokens: &mut Vec<String>) {
 
 /// "the lamp needs a new bulb": what a thing lacks is not there to be found.
 fn wanting(tokens: &mut Vec<String>) {
-    let begins = |i: &usize| is(tokens, *i, &["needs", "wants", "requires", "deserves"]) && is(tokens, i + 1, &["a", "an", "some", "new", "more"]);
+    let begins =
+        |i: &usize| is(tokens, *i, &["needs", "wants", "requires", "deserves"]) && is(tokens, i + 1, &["a", "an", "some", "new", "more"]);
     if let Some(start) = (2..tokens.len()).find(begins) {
         let end = end_of_clause(tokens, start);
         tokens.drain(start..end);
@@ -223,7 +232,8 @@ fn rather_than(tokens: &mut Vec<String>) {
     let first = (0..tokens.len()).find(|&i| tokens[i] != BREAK && !is(tokens, i, &["no"]));
     let Some(not) = first.filter(|&i| tokens[i] == "not" && is_article(tokens, i + 1)) else { return };
     let end = end_of_clause(tokens, not);
-    if is(tokens, end + 1, &["the"]) && is(tokens, end + 2, &["other"]) && longest_noun(&run(tokens, end + 3)).is_some_and(|_| !is(tokens, end + 3, &["one"])) {
+    let is_named = (end + 3..tokens.len().min(end + 6)).any(|i| !is(tokens, i, &["one"]) && longest_noun(&run(tokens, i)).is_some());
+    if is(tokens, end + 1, &["the"]) && is(tokens, end + 2, &["other"]) && is_named {
         tokens.drain(..=end);
     }
 }
@@ -243,14 +253,17 @@ fn beside_the_bed(tokens: &mut Vec<String>) {
 /// "between the blue and the yellow picture": two of them.
 fn one_noun_for_two(tokens: &mut Vec<String>) {
     let is_colour = |i: usize| matches!(meaning(tokens, i), Some(Meaning::Colour(_) | Meaning::Trait(_)));
-    let Some(and) = (2..tokens.len()).find(|&i| tokens[i] == "and" && is_colour(i - 1) && is_article(tokens, i - 2) && is_article(tokens, i + 1) && is_colour(i + 2))
+    let Some(and) = (2..tokens.len())
+        .find(|&i| tokens[i] == "and" && is_colour(i - 1) && is_article(tokens, i - 2) && is_article(tokens, i + 1) && is_colour(i + 2))
     else {
         return;
     };
     let words = run(tokens, and + 3);
     let Some(length) = longest_noun(&words).filter(|_| !words::is_anything(words[0])) else { return };
     let noun: Vec<String> = tokens[and + 3..and + 3 + length].to_vec();
-    let one = Lexicon::get().find(&noun.join(" ")).map_or(noun, |found| found.name.split(' ').map(str::to_owned).collect());
+    let one = Lexicon::get()
+        .find(&noun.join(" "))
+        .map_or(noun, |found| found.name.split(' ').map(str::to_owned).collect());
     tokens.splice(and..and, one);
 }
 
@@ -270,7 +283,7 @@ mod tests {
             ("somebody's bag by the sofa, can you see if my keys are in it", "somebody bag by the sofa ,"),
             ("the grey chair, it is by the door", "the grey chair , it is by the door"),
             ("what the telly's stood on", "thing with the telly"),
-            ("the bedside lamp on the left", "lamp by the bed on the left"),
+            ("the bedside lamp on the left", "the lamp by the bed on the left"),
             ("be a dear and fetch my mug", "be a dear , fetch my mug"),
             ("my back hurts so i'll have the chair", "my back hurts , i'll have the chair"),
             ("the shelf with the books and vacuum around it", "the shelf with the books , vacuum around it"),

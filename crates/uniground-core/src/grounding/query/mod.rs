@@ -30,7 +30,7 @@ pub use grammar::parse;
 pub use parsers::{AutoParser, BuiltinParser, FellBack, QueryParser, Reading, VlmParser};
 pub use relation_kinds::RelationKind;
 
-/// A query, understood as far as the words go. Every word is used, is filler, or is listed in `not_understood`.
+/// A query, understood as far as the words go. Every word is used, is filler, or is listed in `not_understood` or `passed_over`.
 #[derive(Debug, Clone, Default, PartialEq)]
 pub struct ParsedQuery {
     /// What is asked for.
@@ -47,6 +47,8 @@ pub struct ParsedQuery {
     pub foreign: bool,
     /// Words that could not be used or checked, and nouns the lexicon does not know.
     pub not_understood: Vec<String>,
+    /// Words that tell what somebody does or why, before the thing is named: they tell nothing of it, and do not make its reading less sure.
+    pub passed_over: Vec<String>,
     /// What is asked for if the words name it later ("pop two slices in the toaster"), in order: a scene without what comes first may have one
     /// of these ([`settled`](super::settled)). They have no later readings themselves.
     pub later: Vec<ParsedQuery>,

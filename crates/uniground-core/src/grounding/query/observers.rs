@@ -21,8 +21,23 @@ const OPENERS: [&str; 12] = ["if", "when", "as", "while", "once", "whenever", "i
 const SUBJECTS: [&str; 10] = ["i", "you", "we", "one", "someone", "somebody", "your", "he", "they", "people"];
 const SUBJECTS_WITH_BE: [&str; 8] = ["i'm", "im", "you're", "youre", "we're", "they're", "he's", "she's"];
 const AUXILIARIES: [&str; 14] = ["are", "am", "were", "is", "was", "be", "to", "just", "first", "now", "would", "had", "have", "that"];
-const PARTICLES: [&str; 15] =
-    ["square", "close", "up", "down", "back", "out", "over", "right", "straight", "directly", "there", "here", "just", "around", "comfortably"];
+const PARTICLES: [&str; 15] = [
+    "square",
+    "close",
+    "up",
+    "down",
+    "back",
+    "out",
+    "over",
+    "right",
+    "straight",
+    "directly",
+    "there",
+    "here",
+    "just",
+    "around",
+    "comfortably",
+];
 /// Longest first.
 const IN_FRONT: [&[&str]; 4] = [&["directly", "in", "front", "of"], &["right", "in", "front", "of"], &["in", "front", "of"], &["opposite"]];
 const AT: [&[&str]; 14] = [

@@ -19,11 +19,16 @@ pub(super) fn rewrite(tokens: &mut Vec<String>) {
 fn side_of_another(tokens: &mut Vec<String>) {
     let word = |i: usize| tokens.get(i).map_or("", String::as_str);
     let told = |&i: &usize| {
-        matches!(word(i), "on" | "at") && word(i + 1) == "the" && Lexicon::get().knows(word(i + 2)) && word(i + 3) == "side" && word(i + 4) == "of"
+        matches!(word(i), "on" | "at")
+            && word(i + 1) == "the"
+            && Lexicon::get().knows(word(i + 2))
+            && word(i + 3) == "side"
+            && word(i + 4) == "of"
     };
     let Some(at) = (0..tokens.len()).find(told) else { return };
     let other = tokens[at + 2].clone();
-    let is_end = |&i: &usize| word(i) == BREAK || matches!(words::longest(&[word(i)]), Some((Meaning::Relation(_), _))) || word(i) == "there";
+    let is_end =
+        |&i: &usize| word(i) == BREAK || matches!(words::longest(&[word(i)]), Some((Meaning::Relation(_), _))) || word(i) == "there";
     let end = (at + 5..tokens.len()).find(is_end).unwrap_or(tokens.len());
     tokens.splice(end..end, ["closest".to_owned(), "to".to_owned(), "the".to_owned(), other]);
     tokens.splice(at..at + 5, ["next".to_owned(), "to".to_owned()]);

@@ -137,6 +137,7 @@ pub(super) fn decode(text: &str) -> Result<ParsedQuery, String> {
         quantity: Quantity::One,
         foreign: false,
         not_understood: query.not_understood,
+        passed_over: Vec::new(),
         later: Vec::new(),
     })
 }

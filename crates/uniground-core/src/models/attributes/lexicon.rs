@@ -199,13 +199,18 @@ impl Lexicon {
         let names = |noun: &Noun| std::iter::once(&noun.name).chain(&noun.synonyms).cloned().collect::<Vec<_>>();
         let called_after = |noun: &&Noun| {
             let container = noun.kinds.iter().any(|kind| kind == "container");
-            container && names(noun).iter().any(|name| name.strip_prefix(word).is_some_and(|rest| rest.strip_prefix(' ').is_some_and(|container| self.knows(container))))
+            container
+                && names(noun).iter().any(|name| {
+                    name.strip_prefix(word)
+                        .is_some_and(|rest| rest.strip_prefix(' ').is_some_and(|container| self.knows(container)))
+                })
         };
         let is_plant = WordNet::get().is_a(word, PLANT);
         // Tulips are no cactus.
         let is_species = |noun: &Noun| noun.name != "flower" && WordNet::get().is_a(&noun.name, PLANT);
-        let for_plants =
-            |noun: &&Noun| noun.kinds.iter().any(|kind| kind == "plant") && !is_species(noun) || noun.uses.iter().any(|spoken| spoken == "put flowers in");
+        let for_plants = |noun: &&Noun| {
+            noun.kinds.iter().any(|kind| kind == "plant") && !is_species(noun) || noun.uses.iter().any(|spoken| spoken == "put flowers in")
+        };
         let mut holding: Vec<&Noun> = self.nouns.iter().filter(|noun| called_after(noun) || is_plant && for_plants(noun)).collect();
         holding.sort_by(|a, b| b.prior.total_cmp(&a.prior));
         holding
