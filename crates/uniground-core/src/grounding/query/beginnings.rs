@@ -194,7 +194,6 @@ fn tells_a_thing(query: &ParsedQuery) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use super::*;
     use crate::grounding::query::parse;
 
     /// Heads of the likeliest reading and of the others.

@@ -125,7 +125,7 @@ pub(super) fn done_with_it(tokens: &mut Vec<String>) {
 }
 
 /// "I left it by the lamp" speaks of no left side.
-fn left_there(tokens: &mut Vec<String>) {
+fn left_there(tokens: &mut [String]) {
     const WHO: [&str; 12] = ["i", "we", "you", "he", "she", "they", "i've", "somebody", "someone", "who", "be", "was"];
     let mut i = 1;
     while i < tokens.len() {
