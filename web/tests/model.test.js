@@ -33,7 +33,7 @@ test("why: renders, collages, prompts, replies, corrections, tokens, cost and se
   const text = await why.textContent();
   assert.match(text, /2 calls · 1,400 \+ 80 tokens · 0\.00344 \$/);
   assert.match(text, /Predicted ID: 4711/);
-  assert.match(text, /Predicted ID: 93/);
+  assert.match(text, /Predicted ID: 82/);
   assert.match(text, /Query: "the mug on the coffee table"/);
   assert.match(text, /Corrections.*4711/s);
   assert.match(text, /System/);

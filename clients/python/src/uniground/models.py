@@ -1244,7 +1244,7 @@ class ModelList:
 class Models:
     """Name and version of the parts an answer came from."""
     masks: str
-    """Cut pictures into masks when the scene was parsed: a model as `name@fingerprint`, or the built-in part, like `rgbd-3`."""
+    """Cut pictures into masks when the scene was parsed: a model as `name@fingerprint`, or the built-in part, like `rgbd-2`."""
     encoder: str
     """Compared words with instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`."""
     reasoner: str
@@ -1329,7 +1329,7 @@ class OrientedBox(BoxMethods):
 class ParseModels:
     """Models a parse was made with: name and version each."""
     masks: str
-    """Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like `rgbd-3`."""
+    """Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like `rgbd-2`."""
     encoder: str
     """Looked at instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`."""
 
@@ -1602,8 +1602,6 @@ class RgbdSettings(TypedDict, total=False):
     """Angle between neighbouring normals that counts as one unit of edge where the surface is concave, degrees."""
     convex_edge_deg: float
     """The same where it is convex: objects are allowed to bulge."""
-    finer_join_cost: float
-    """The same for a second id image of each frame, finer than the first: both vote on what belongs together. 0: there is none."""
     join_colour: float
     """Mean CIELAB difference of two patches that costs one unit."""
     join_concave_deg: float
