@@ -116,7 +116,7 @@ async fn models_take_part_from_the_upload_to_the_answer() {
     let builtin = json!({"models": {"masks": "builtin", "encoder": "builtin"}});
     reparsed(&server, &scene, builtin).await;
     let used = server.client.scene(&scene).await.unwrap().models.unwrap();
-    assert_eq!((used.masks.as_str(), used.encoder.as_str()), ("rgbd-3", "attributes-2"));
+    assert_eq!((used.masks.as_str(), used.encoder.as_str()), ("rgbd-2", "attributes-2"));
     let error = problem(server.client.bytes(&format!("v1/scenes/{scene}/embeddings.npy")).await);
     assert_eq!((error.status, error.code.as_str()), (404, "no_embeddings"));
     server.stop().await;

@@ -177,7 +177,7 @@ pub struct Candidate {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct Models {
-    /// Cut pictures into masks when the scene was parsed: a model as `name@fingerprint`, or the built-in part, like `rgbd-3`.
+    /// Cut pictures into masks when the scene was parsed: a model as `name@fingerprint`, or the built-in part, like `rgbd-2`.
     pub masks: String,
     /// Compared words with instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`.
     pub encoder: String,

@@ -21,8 +21,6 @@ pub struct RgbdSettings {
     pub min_patch_pixels: u32,
     /// Patches join into things while the cost of the cheapest border stays below this.
     pub join_cost: f32,
-    /// The same for a second id image of each frame, finer than the first: both vote on what belongs together. 0: there is none.
-    pub finer_join_cost: f32,
     /// Mean CIELAB difference of two patches that costs one unit.
     pub join_colour: f32,
     /// Concave angle between two patches that costs one unit, degrees.
@@ -41,7 +39,6 @@ impl Default for RgbdSettings {
             patch_scale: 30.0,
             min_patch_pixels: 20,
             join_cost: 0.8,
-            finer_join_cost: 0.35,
             join_colour: 25.0,
             join_concave_deg: 60.0,
             plane_area_m2: 0.35,

@@ -75,7 +75,7 @@ pub enum ParsePreset {
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct ParseModels {
-    /// Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like `rgbd-3`.
+    /// Cut pictures into masks: a model as `name@fingerprint`, or the built-in part, like `rgbd-2`.
     pub masks: String,
     /// Looked at instances: a model as `name@fingerprint`, or built-in names and measures, like `attributes-2`.
     pub encoder: String,

@@ -127,7 +127,6 @@ impl ParsingSettings {
             ("/rgbd_masks/convex_edge_deg", positive(rgbd_masks.convex_edge_deg), "above 0"),
             ("/rgbd_masks/patch_scale", weight(rgbd_masks.patch_scale), "0 or more"),
             ("/rgbd_masks/join_cost", weight(rgbd_masks.join_cost), "0 or more"),
-            ("/rgbd_masks/finer_join_cost", weight(rgbd_masks.finer_join_cost), "0 or more"),
             ("/rgbd_masks/join_colour", positive(rgbd_masks.join_colour), "above 0"),
             ("/rgbd_masks/join_concave_deg", positive(rgbd_masks.join_concave_deg), "above 0"),
             ("/rgbd_masks/plane_area_m2", weight(rgbd_masks.plane_area_m2), "0 or more"),

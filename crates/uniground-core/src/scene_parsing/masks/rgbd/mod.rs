@@ -24,46 +24,31 @@ pub struct RgbdMasks {
 
 impl MaskSource for RgbdMasks {
     fn name(&self) -> &'static str {
-        "rgbd-3"
+        "rgbd-2"
     }
 
     fn masks(&self, frame: &Frame, _progress: &Progress) -> Result<Vec<IdImage>, ParseError> {
-        Ok(self.id_images(frame))
+        Ok(vec![self.id_image(frame)])
     }
 }
 
 impl RgbdMasks {
-    /// The masks of one frame, as things: the coarser of its [`id_images`](Self::id_images).
+    /// The masks of one frame.
     #[must_use]
     pub fn id_image(&self, frame: &Frame) -> IdImage {
-        let (surfaces, patches) = self.patches(frame);
-        self.joined(&surfaces, &patches, self.settings.join_cost, frame)
-    }
-
-    /// Things, and what they fall into where less is joined: both vote on what belongs together, so that a drawer counts as well as its dresser.
-    #[must_use]
-    pub fn id_images(&self, frame: &Frame) -> Vec<IdImage> {
-        let (surfaces, patches) = self.patches(frame);
-        let costs = [self.settings.join_cost, self.settings.finer_join_cost];
-        let told = costs.iter().filter(|cost| **cost > 0.0);
-        told.map(|&cost| self.joined(&surfaces, &patches, cost, frame)).collect()
-    }
-
-    fn patches(&self, frame: &Frame) -> (Surfaces, Vec<u32>) {
         let surfaces = Surfaces::of(frame, self.settings.stride);
         let patches = patches::cut(&surfaces, &self.settings);
-        (surfaces, patches)
+        let things = things::join(&surfaces, &patches, &self.settings);
+        spread(&surfaces, &things, frame)
     }
+}
 
-    fn joined(&self, surfaces: &Surfaces, patches: &[u32], join_cost: f32, frame: &Frame) -> IdImage {
-        spread(surfaces, &things::join(surfaces, patches, &RgbdSettings { join_cost, ..self.settings }), frame)
-    }
-
+impl RgbdMasks {
     /// The masks of one frame from coarse to fine: things, then the even patches they are made of, with these times the settings' unevenness.
     #[must_use]
     pub fn levels(&self, frame: &Frame, unevenness: &[f32]) -> Vec<IdImage> {
-        let (surfaces, patches) = self.patches(frame);
-        let things = things::join(&surfaces, &patches, &self.settings);
+        let surfaces = Surfaces::of(frame, self.settings.stride);
+        let things = things::join(&surfaces, &patches::cut(&surfaces, &self.settings), &self.settings);
         let finer = unevenness.iter().map(|times| {
             let settings = RgbdSettings { patch_scale: self.settings.patch_scale * times, ..self.settings };
             patches::cut(&surfaces, &settings)
