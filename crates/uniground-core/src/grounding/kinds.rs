@@ -11,8 +11,8 @@ const EXOTIC: f32 = 0.125;
 pub(super) const BROADER_NAME: f32 = 0.5;
 /// The same where the name is the last word of what is asked for: "stool" for a bar stool.
 const ITS_LAST_WORD: f32 = 0.7;
-/// The same where the name says what else it is for: a "salad bowl" for a dog bowl.
-const OTHER_COMPOUND: f32 = 0.2;
+/// The same where the name says what else it is for: a "salad bowl" for a dog bowl; "picture frame" and "photo frame" may be one.
+const OTHER_COMPOUND: f32 = 0.3;
 /// Another word for the name that was given.
 const SYNONYM: f32 = 0.95;
 /// A thing that serves a use as others do; one that is named after the use has 1.
@@ -51,7 +51,7 @@ pub(super) fn kind_fit(given: &str, phrase: &Phrase, meaning: &Meaning) -> f32 {
             None if phrase.uses.is_empty() && asked.first().is_some_and(|noun| noun.kinds.contains(&own.name)) => {
                 match given.contains(' ') && phrase.head.contains(' ') {
                     _ if is_last_word(given, phrase) => ITS_LAST_WORD,
-                    // A salad bowl is no dog bowl.
+                    // A salad bowl is hardly a dog bowl.
                     true => OTHER_COMPOUND,
                     false => BROADER_NAME,
                 }
