@@ -37,3 +37,37 @@ fn is_borne_out(assessor: &Assessor, target: &Phrase) -> bool {
     let meant = |(noun, total): (&f32, &f32)| *noun >= CALLED && *total >= BORNE_OUT * noun;
     assessment.nouns.iter().zip(&assessment.total).any(meant)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::boxes::Aabb;
+    use crate::geometry::{Point3, Vector3};
+    use crate::grounding::NameIndex;
+    use crate::grounding::query::parse;
+    use crate::models::attributes::tests::thing;
+    use crate::scene::{Instance, Support};
+
+    #[test]
+    fn the_room_tells_which_reading_is_meant() {
+        let named = |(id, name): (u32, &str)| {
+            let instance = thing(id, [id as f32, 0.0], [0.4; 3], 0.0, Support::Floor, [90; 3]);
+            Instance { given_name: Some(name.to_owned()), ..instance }
+        };
+        let head = |names: &[&str], query: &str| {
+            let instances: Vec<Instance> = (1..).zip(names.iter().copied()).map(named).collect();
+            let extent = Aabb { center: Point3::origin(), size: Vector3::repeat(9.0) };
+            let names = NameIndex::of(&instances);
+            settled(SceneView { instances: &instances, extent, names: &names, appearance: None }, parse(query))
+                .target
+                .head
+        };
+        let put = "put the towel in the basket";
+        assert_eq!(head(&["chair", "basket"], put), "basket");
+        // A towel that does not lie in the basket yet is to be put there.
+        assert_eq!(head(&["towel", "basket"], put), "basket");
+        // Neither is there: the likeliest reading is denied.
+        assert_eq!(head(&["chair", "lamp"], put), "towel");
+        assert_eq!(head(&["chair", "desk"], "fetch the towel off the desk"), "towel", "what it lies on is not asked for");
+    }
+}

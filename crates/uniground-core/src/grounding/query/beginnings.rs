@@ -11,7 +11,7 @@ use crate::models::attributes::WordNet;
 /// So many beginnings are read: each costs a reading.
 const MOST_READINGS: usize = 6;
 
-/// What is done with one thing to another: "chuck the peel in the bin" asks for the bin where no peel is to be found.
+/// What is done with one thing to another: "chuck the peel in the bin" asks for the bin unless a peel is in it already.
 const DESTINED: [&str; 40] = [
     "put", "pop", "place", "stick", "chuck", "throw", "toss", "drop", "dump", "scrape", "pour", "tip", "hang", "lay", "set", "leave",
     "store", "pack", "load", "shove", "slide", "stow", "empty", "plug", "pin", "wipe", "spread", "press", "stack", "sort", "lock", "write",
