@@ -68,13 +68,30 @@ fn shape_fit(shape: Shape, instance: &Instance) -> f32 {
     if size.min() < THICK_M {
         return 1.0;
     }
-    let ramp = |from: f32, to: f32| ODD_SHAPE + (1.0 - ODD_SHAPE) * ((instance.planarity - from) / (to - from)).clamp(0.0, 1.0);
+    let odd_unless = |share: f32| ODD_SHAPE + (1.0 - ODD_SHAPE) * share;
     match shape {
-        Shape::Flat => ramp(0.2, 0.6),
-        // Foliage is rough, and green.
-        Shape::Bushy => ramp(0.6, 0.3) * if instance.colours.share(ColourName::Green) < LEAST_GREEN { ODD_SHAPE } else { 1.0 },
-        Shape::Boxy | Shape::Open | Shape::Round | Shape::Soft => 1.0,
+        Shape::Flat => odd_unless(ramp(instance.planarity, 0.2, 0.6)),
+        Shape::Bushy => {
+            odd_unless(roughness(instance)) * if instance.colours.share(ColourName::Green) < LEAST_GREEN { ODD_SHAPE } else { 1.0 }
+        }
+        Shape::Boxy | Shape::Open | Shape::Round | Shape::Soft => odd_unless(1.0 - foliage(instance)),
     }
+}
+
+/// How much a thing looks like leaves, `0..=1`: rough, and green for the most part. What is green all over was dyed or painted.
+fn foliage(instance: &Instance) -> f32 {
+    let green = instance.colours.share(ColourName::Green);
+    roughness(instance) * ramp(green, 0.2, 0.4) * ramp(green, 0.9, 0.75)
+}
+
+/// How far a thing is from being one plane, `0..=1`.
+fn roughness(instance: &Instance) -> f32 {
+    ramp(instance.planarity, 0.6, 0.3)
+}
+
+/// 0 at `from`, 1 at `to`, and evenly between.
+fn ramp(value: f32, from: f32, to: f32) -> f32 {
+    ((value - from) / (to - from)).clamp(0.0, 1.0)
 }
 
 /// How well a colour word describes an instance, `0..=1`.
@@ -199,6 +216,20 @@ pub(crate) mod tests {
         let top = thing(1, [0.0, 0.0], [1.2, 0.7, 0.03], 0.42, Support::Nothing, [20; 3]);
         let fit = |word| noun_fit(Lexicon::get().find(word).unwrap(), &top);
         assert!(fit("coffee table") > 0.9 && fit("dining table") < 0.2, "{} {}", fit("coffee table"), fit("dining table"));
+    }
+
+    #[test]
+    fn what_is_rough_and_partly_green_is_a_plant_and_no_fridge() {
+        let names = |rgb: &[[u8; 3]], planarity| {
+            let standing = thing(1, [0.0, 0.0], [0.7, 0.68, 1.4], 0.0, Support::Floor, [60; 3]);
+            let guesses = name_guesses(&Instance { colours: ColourHistogram::of(rgb.iter().copied()), planarity, ..standing });
+            guesses.into_iter().map(|guess| guess.name).collect::<Vec<_>>()
+        };
+        let [leaf, shade, pot] = [[50, 120, 40], [20, 20, 18], [150, 80, 50]];
+        assert_eq!(names(&[leaf, leaf, shade, pot], 0.25)[0], "plant");
+        assert_eq!(names(&[leaf, leaf, shade, pot], 0.7)[0], "fridge", "a plane");
+        assert_eq!(names(&[leaf], 0.25)[0], "fridge", "painted");
+        assert_eq!(names(&[shade, pot], 0.25)[0], "fridge", "not green");
     }
 
     #[test]
