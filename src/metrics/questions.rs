@@ -10,12 +10,13 @@ use std::sync::atomic::Ordering::Relaxed;
 use std::time::Duration;
 
 /// Stages of a parse as their reports name them; what a report of tomorrow adds counts together until it is named here.
-const STAGES: [&str; 13] = [
+const STAGES: [&str; 14] = [
     "import",
     "superpoints",
     "planes",
     "masks_and_lifting",
     "growth",
+    "gaps",
     "merging",
     "part_merging",
     "hierarchy",

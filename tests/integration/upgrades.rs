@@ -65,6 +65,7 @@ async fn a_folder_from_before_records_had_versions_is_found_whole() {
     uniground_types::settings::with_names_of_today(&mut expected["settings"]);
     // Steps of today were not taken then.
     expected["settings"]["parsing"]["merging"]["keep_planes_apart"] = false.into();
+    expected["settings"]["parsing"]["merging"]["split_at_depth_edges"] = false.into();
     expected["settings"]["parsing"]["refine_borders"] = false.into();
     expected["settings"]["parsing"]["sam_masks"]["prompts"] = "grid".into();
     expected["settings"]["parsing"]["sam_masks"]["wholes"] = false.into();

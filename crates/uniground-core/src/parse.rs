@@ -16,7 +16,7 @@ use uniground_types::scene::StageReport;
 use uniground_types::settings::{ImportSettings, ModelChoice, ParseModels, ParseSettings, PartChoice};
 
 /// Raised when stage 1 changes what it computes: older parses are kept, but not taken for new ones.
-pub const STAGE_1_VERSION: u32 = 8;
+pub const STAGE_1_VERSION: u32 = 9;
 
 /// Why a scan could not be parsed. Messages name the file, frame or model at fault.
 #[derive(Debug, thiserror::Error)]

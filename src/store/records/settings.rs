@@ -21,6 +21,7 @@ fn without_steps_of_today(stored: &mut Value) {
     let young = [
         ("/parsing", "refine_borders", Value::Bool(false)),
         ("/parsing/merging", "keep_planes_apart", Value::Bool(false)),
+        ("/parsing/merging", "split_at_depth_edges", Value::Bool(false)),
         ("/parsing/sam_masks", "prompts", Value::from("grid")),
         ("/parsing/sam_masks", "wholes", Value::Bool(false)),
         ("/parsing/correction", "known_agreement", Value::Null),

@@ -2564,6 +2564,11 @@ export interface components {
              */
             normalisation?: components["schemas"]["Normalisation"];
             /**
+             * @description Superpoints with a small gap between them are no neighbours where frames see through it. Not in the paper.
+             * @default true
+             */
+            split_at_depth_edges?: boolean;
+            /**
              * @description Affinity a neighbour must reach, one value per stage. Paper: 0.9 0.8 0.7 0.6 0.5.
              * @default [
              *       0.8999999761581421,
@@ -2871,6 +2876,7 @@ export interface components {
              *         "max_hop": 2,
              *         "min_points": 50,
              *         "normalisation": "normalised",
+             *         "split_at_depth_edges": true,
              *         "thresholds": [
              *           0.8999999761581421,
              *           0.800000011920929,
@@ -2992,6 +2998,7 @@ export interface components {
              *       "max_hop": 2,
              *       "min_points": 50,
              *       "normalisation": "normalised",
+             *       "split_at_depth_edges": true,
              *       "thresholds": [
              *         0.8999999761581421,
              *         0.800000011920929,

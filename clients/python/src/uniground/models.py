@@ -1217,6 +1217,8 @@ class MergeSettings(TypedDict, total=False):
     """Regions with fewer points join their most affine neighbour at the end. Paper: 50."""
     normalisation: Normalisation
     """How Eq. (1) averages over frames."""
+    split_at_depth_edges: bool
+    """Superpoints with a small gap between them are no neighbours where frames see through it. Not in the paper."""
     thresholds: Sequence[float]
     """Affinity a neighbour must reach, one value per stage. Paper: 0.9 0.8 0.7 0.6 0.5."""
 

@@ -4,8 +4,8 @@
 //! cloud  -> superpoints -> planes ─┐
 //! frames -> masks -> lifting -> affinity -> merging -> part merging -> refinement -> views -> instances -> appearance -> names
 //! ```
-//! Frames pass three times, decoded a few at a time: for masks and lifting, and their depth for refinement and for the views; where networks take part, the chosen
-//! views pass once more. Same input and settings give the same instances, whatever the number of threads.
+//! Frames pass four times, decoded a few at a time: for masks and lifting, and their depth for gaps, for refinement and for the views; where
+//! networks take part, the chosen views pass once more. Same input and settings give the same instances, whatever the number of threads.
 
 pub mod affinity;
 pub mod appearance;
@@ -14,6 +14,7 @@ pub mod correction;
 pub mod evidence;
 pub mod frame_appearance;
 pub mod frame_sampling;
+pub mod gaps;
 pub mod hierarchy;
 pub mod instances;
 pub mod labels;
@@ -133,12 +134,20 @@ pub fn parse(
     let ends = perception.ends();
 
     let perceiving = progress.part(0.0, ends[1]);
-    let Perceived { cloud, frames, superpoints, lifted, checkpoints } =
+    let Perceived { cloud, frames, mut superpoints, lifted, checkpoints } =
         perceived::perceive(bundle, perception, settings, checkpoints, &perceiving, &mut watch)?;
     let extent = Aabb::around(&cloud.positions).ok_or(ParseError::NoPoints)?;
     let visibility = Visibility::new(&cloud, &superpoints.of_point, settings.depth_tolerance);
     let (tables, masks_of, sharpness_of) = Lifted::apart(lifted);
     let blind: Vec<String> = tables.iter().filter(|t| t.layer == 0 && t.rows.is_empty()).map(|t| t.frame.to_string()).collect();
+    if settings.merging.split_at_depth_edges {
+        superpoints.adjacent = watch.time("gaps", |outcome| {
+            let voxel_m = superpoints::voxel_m(&cloud, &settings.superpoints);
+            let kept = gaps::without_depth_edges(&cloud, &superpoints, voxel_m, &frames, settings.depth_tolerance, progress)?;
+            outcome.produced = superpoints.adjacent.len() - kept.len();
+            Ok::<_, ParseError>(kept)
+        })?;
+    }
     let seen =
         Seen { cloud: &cloud, frames: &frames, superpoints: &superpoints, visibility: &visibility, tables: &tables, masks_of: &masks_of };
     let Grouped { planes, region_of, proposals } = group(seen, perception, settings, &checkpoints, progress, &mut watch)?;

@@ -31,6 +31,8 @@ pub struct MergeSettings {
     /// Superpoints on different planes of the building, or on one and before it, are never joined, and small patches of a plane return to
     /// it. Not in the paper.
     pub keep_planes_apart: bool,
+    /// Superpoints with a small gap between them are no neighbours where frames see through it. Not in the paper.
+    pub split_at_depth_edges: bool,
 }
 
 impl Default for MergeSettings {
@@ -42,6 +44,7 @@ impl Default for MergeSettings {
             min_points: 50,
             normalisation: Normalisation::Normalised,
             keep_planes_apart: true,
+            split_at_depth_edges: true,
         }
     }
 }

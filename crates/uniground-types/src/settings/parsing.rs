@@ -64,7 +64,7 @@ impl ParsingSettings {
             frame_sampling: FrameSamplingSettings { max_frames: None, ..FrameSamplingSettings::default() },
             superpoints: SuperpointSettings { voxel_m: 0.05, seed_m: 0.2, ..SuperpointSettings::default() },
             depth_tolerance: 0.15,
-            merging: MergeSettings { keep_planes_apart: false, ..MergeSettings::default() },
+            merging: MergeSettings { keep_planes_apart: false, split_at_depth_edges: false, ..MergeSettings::default() },
             part_merging: PartMergingSettings { enabled: false, ..PartMergingSettings::default() },
             refine_borders: false,
             instances: InstanceSettings {

@@ -19,6 +19,13 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use uniground_types::settings::SuperpointSettings;
 use voxel_cloud::VoxelCloud;
+pub(super) use voxel_cloud::WIDEST_RING;
+
+/// Edge of the voxels that superpoints of this cloud are made of, metres.
+#[must_use]
+pub fn voxel_m(cloud: &PointCloud, settings: &SuperpointSettings) -> f32 {
+    coarsened_to(*settings, typical_spacing_m(&cloud.positions)).voxel_m
+}
 
 /// Settings no finer than a cloud bears: voxels smaller than the gaps between points would fall apart into islands.
 fn coarsened_to(settings: SuperpointSettings, spacing_m: f32) -> SuperpointSettings {

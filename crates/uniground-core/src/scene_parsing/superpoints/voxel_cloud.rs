@@ -164,7 +164,7 @@ impl VoxelCloud {
 /// How many neighbours a voxel has at least, as far as [`WIDEST_RING`] reaches (docs/METHOD.md, section 1.2).
 const NEAREST: usize = 8;
 /// How many voxels away a neighbour may be.
-const WIDEST_RING: i64 = 4;
+pub(in crate::scene_parsing) const WIDEST_RING: i64 = 4;
 
 /// Steps to the voxels whose largest offset is `ring`.
 fn ring(ring: i64) -> Vec<i64> {
