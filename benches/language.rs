@@ -14,13 +14,14 @@ use uniground_core::grounding::{NameIndex, Question, SceneView, ground};
 use uniground_core::models::attributes::Lexicon;
 use uniground_core::scene::{Embeddings, Instance, PointCloud};
 
-const QUESTIONS: [&str; 6] = [
+const QUESTIONS: [&str; 7] = [
     "the black chair closest to the door",
     "this is a brown chair. it is at the end of the long table, next to the window and in front of the whiteboard.",
     "facing the desk with two monitors, the second monitor from the left",
     "bring me the red mug on the coffee table by the sofa",
     "something to sit on while working at the desk",
     "not the one by the door, the other bookcase between the sofa and the desk",
+    "my back hurts, so I would rather have the chair beside the plant",
 ];
 
 /// A hall of `count` things of a dozen kinds on a grid, named by the encoder as in a parsed scene.
