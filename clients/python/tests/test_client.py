@@ -211,9 +211,9 @@ def test_a_scene_is_placed_in_a_map(scene: Scene) -> None:
 def test_a_scene_is_a_graph(scene: Scene) -> None:
     graph = scene.graph()
     assert {node.kind for node in graph.nodes} >= {"thing", "structure"}
-    assert ("i82", "on", "i26") in {(edge.from_, edge.relation, edge.to) for edge in graph.edges}
+    assert (f"i{MUG_ID}", "on", "i26") in {(edge.from_, edge.relation, edge.to) for edge in graph.edges}
     around = scene.graph(around=MUG_ID)
-    assert {"i82", "i26"} <= {node.id for node in around.nodes}
+    assert {f"i{MUG_ID}", "i26"} <= {node.id for node in around.nodes}
     assert len(around.nodes) < len(graph.nodes) <= len(scene.graph("all").nodes)
     text = scene.graph_text(around=MUG_ID)
     assert "on [i26] grey coffee table" in text
