@@ -126,6 +126,7 @@ export const t = {
     superpoints: "Cutting the cloud into patches",
     planes: "Finding floor, walls and ceiling",
     masks_and_lifting: "Finding masks in the pictures",
+    gaps: "Looking through gaps",
     merging: "Joining patches into things",
     part_merging: "Joining parts of furniture",
     hierarchy: "Finding parts and wholes",

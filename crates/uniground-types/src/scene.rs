@@ -298,7 +298,7 @@ pub struct ParseReport {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "openapi", derive(utoipa::ToSchema))]
 pub struct StageReport {
-    /// `import`, `superpoints`, `masks_and_lifting`, `merging`, `part_merging`, `hierarchy`, `refinement`, `views`, `instances`, or with models `appearance`.
+    /// `import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`, `merging`, `part_merging`, `hierarchy`, `refinement`, `views`, `instances`, or with models `appearance`.
     pub stage: String,
     /// Wall-clock.
     pub seconds: f32,

@@ -126,8 +126,10 @@ mod tests {
     use super::*;
     use crate::geometry::Isometry3;
     use crate::geometry::colour::Lab;
-    use crate::scene::Intrinsics;
+    use crate::scene::{FrameIndex, Intrinsics, Optics};
     use crate::scene_parsing::superpoints::Patch;
+    use camino::{Utf8Path, Utf8PathBuf};
+    use image::{ImageBuffer, Luma};
 
     const CAMERA: Intrinsics = Intrinsics { width: 64, height: 48, fx: 40.0, fy: 40.0, cx: 31.5, cy: 23.5 };
     const VOXEL_M: f32 = 0.025;
@@ -153,6 +155,41 @@ mod tests {
         assert!((found[0].middle.x - -0.005).abs() < 0.02 && (found[0].middle.z - 1.0).abs() < 1e-6, "{:?}", found[0].middle);
         assert!(gaps_of(0.01).is_empty(), "they touch");
         assert!(gaps_of(0.5).is_empty(), "nothing of one is near the other: nothing is known of the way between");
+    }
+
+    /// A frame that measured so much everywhere, metres.
+    fn frame(folder: &Utf8Path, index: u32, depth_m: f32) -> FrameRef {
+        let depth = folder.join(format!("{index}.png"));
+        let millimetres = Luma([(depth_m * 1e3) as u16]);
+        ImageBuffer::<Luma<u16>, Vec<u16>>::from_pixel(CAMERA.width, CAMERA.height, millimetres)
+            .save(&depth)
+            .unwrap();
+        FrameRef {
+            index: FrameIndex(index),
+            colour: Utf8PathBuf::new(),
+            depth,
+            colour_intrinsics: CAMERA,
+            depth_intrinsics: CAMERA,
+            depth_scale_m: 0.001,
+            camera_to_world: Isometry3::identity(),
+            optics: Optics::default(),
+        }
+    }
+
+    #[test]
+    fn neighbours_are_parted_where_more_frames_see_through_than_not() {
+        let folder = tempfile::tempdir().unwrap();
+        let folder = Utf8Path::from_path(folder.path()).unwrap();
+        let neighbours = |apart_m: f32, depths_m: &[f32]| {
+            let (cloud, superpoints) = two_squares(apart_m);
+            let frames: Vec<FrameRef> = (0..).zip(depths_m).map(|(i, &depth_m)| frame(folder, i, depth_m)).collect();
+            without_depth_edges(&cloud, &superpoints, VOXEL_M, &frames, 0.02, &Progress::silent()).unwrap()
+        };
+        let (wall, closed) = (2.0, 1.0);
+        assert_eq!(neighbours(0.07, &[wall, closed, wall]), []);
+        assert_eq!(neighbours(0.07, &[wall, closed]), [(0, 1)], "as many as not");
+        assert_eq!(neighbours(0.07, &[]), [(0, 1)], "nobody looked");
+        assert_eq!(neighbours(0.01, &[wall, wall]), [(0, 1)], "they touch");
     }
 
     #[test]
