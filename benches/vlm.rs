@@ -280,7 +280,7 @@ impl Server {
             fetch_models: false,
             vlm: VlmConfig { vlm_url: Some(url), vlm_model: Some("instant".into()), ..VlmConfig::default() },
             webhook: WebhookConfig::default(),
-            limits: LimitsConfig::default(),
+            limits: LimitsConfig { reader_program: Some(env!("CARGO_BIN_EXE_uniground").into()), ..LimitsConfig::default() },
             log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
         };
         let running = app::start(&config).await.unwrap();

@@ -91,6 +91,7 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     let service = Service::new(store.clone(), jobs.clone(), keys, config.limits.service_limits(), vlm, models, parsing)
         .watching(inference)
         .importing_from(config.access.import_root.clone())
+        .reading_with(config.limits.scan_reader())
         .telling(http::told);
     let listener = TcpListener::bind(config.listen).await.with_context(|| format!("listening on {}", config.listen))?;
     let address = listener.local_addr()?;

@@ -17,6 +17,7 @@ pub use registries::registries;
 pub use retention::RetentionConfig;
 
 use crate::chat::{ChatClient, Endpoint, Patience, ReplayCache};
+use crate::isolation::{ChildProcess, ScanReader};
 use crate::service::{Limits, LinkSecret, WhenNamed};
 use crate::telemetry;
 use crate::webhook::Webhook;
@@ -38,6 +39,7 @@ const DEFAULT_VLM_ATTEMPTS: u32 = 5;
 const DEFAULT_VLM_BACKOFF_MS: u64 = 1000;
 const DEFAULT_MAX_CONNECTIONS: u32 = 1024;
 const DEFAULT_KEEP_FREE_BYTES: u64 = 256 << 20;
+const DEFAULT_READER_MEMORY_MB: u64 = 4096;
 
 /// `uniground serve`
 #[allow(clippy::doc_markdown)] // Help is no Markdown.
@@ -278,6 +280,12 @@ pub struct LimitsConfig {
     /// Memory that the server may come to hold; a parse that would take more is not begun. Default: its container's limit, or the machine's
     #[arg(long, env = "UNIGROUND_MAX_MEMORY_BYTES")]
     pub max_memory_bytes: Option<u64>,
+    /// Memory that a process which imports an uploaded scan may take, MB; one that checks an upload may take a quarter of it
+    #[arg(long, env = "UNIGROUND_READER_MEMORY_MB", default_value_t = DEFAULT_READER_MEMORY_MB, value_name = "MB", value_parser = clap::value_parser!(u64).range(256..=1_048_576))]
+    pub reader_memory_mb: u64,
+    /// Program that reads uploaded scans in processes of its own; default: this one
+    #[arg(long, hide = true, value_name = "FILE")]
+    pub reader_program: Option<Utf8PathBuf>,
     #[command(flatten)]
     pub retention: RetentionConfig,
 }
@@ -310,6 +318,8 @@ impl Default for LimitsConfig {
             max_connections: DEFAULT_MAX_CONNECTIONS,
             keep_free_bytes: DEFAULT_KEEP_FREE_BYTES,
             max_memory_bytes: None,
+            reader_memory_mb: DEFAULT_READER_MEMORY_MB,
+            reader_program: None,
             retention: RetentionConfig::default(),
         }
     }
@@ -327,6 +337,14 @@ impl LimitsConfig {
             max_concurrent_questions: self.max_concurrent_questions as usize,
             retention: self.retention.settings(),
         }
+    }
+}
+
+impl LimitsConfig {
+    /// Processes that read uploaded scans.
+    #[must_use]
+    pub fn scan_reader(&self) -> ScanReader {
+        ScanReader::isolated(ChildProcess::new(self.reader_program.clone(), self.reader_memory_mb << 20))
     }
 }
 

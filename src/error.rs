@@ -1,11 +1,12 @@
 //! Everything that can go wrong in a use case, without HTTP. `http/problem.rs` maps it once.
 
+use crate::isolation::ReadError;
 use crate::jobs::JobsError;
 use crate::store::{Away, StoreError, is_disk_full};
 use std::io;
 use uniground_core::changes::ChangesError;
 use uniground_core::grounding::pipeline::QuestionError;
-use uniground_core::ingest::IngestError;
+use uniground_core::ingest::{IngestError, IngestErrorKind};
 use uniground_core::models::chat::{AskError, ChatError, ChatFailure, OverBudget};
 use uniground_core::models::neural::ModelError;
 use uniground_core::parse::ScanError;
@@ -145,6 +146,8 @@ pub enum Error {
         wanted >> 20, resident >> 20, most >> 20
     )]
     MemoryShort { wanted: u64, resident: u64, most: u64 },
+    #[error("the process that read the scan was killed by the system, which may be out of memory")]
+    ReaderKilled,
     #[error("a file could not be read or written")]
     Io(#[from] io::Error),
     #[error("background work stopped unexpectedly")]
@@ -173,12 +176,23 @@ impl From<QuestionError> for Error {
     }
 }
 
+impl From<ReadError> for Error {
+    fn from(error: ReadError) -> Self {
+        match error {
+            ReadError::Ingest(error) => Self::Ingest(error),
+            ReadError::Killed => Self::ReaderKilled,
+            ReadError::Process(error) => Self::Io(error),
+        }
+    }
+}
+
 impl From<ScanError> for Error {
     fn from(error: ScanError) -> Self {
         match error {
             ScanError::Ingest(error) => Self::Ingest(error),
             ScanError::Parse(error) => Self::Parse(error),
             ScanError::Io(error) => Self::Io(error),
+            ScanError::NotImported => Self::Io(io::Error::other(error)),
         }
     }
 }
@@ -218,6 +232,7 @@ impl Error {
                 | Self::Io(_)
                 | Self::DiskNearlyFull { .. }
                 | Self::MemoryShort { .. }
+                | Self::ReaderKilled
                 | Self::Overloaded
                 | Self::AnswerNotKept
                 | Self::VlmFailed { .. }
@@ -339,7 +354,7 @@ impl Error {
             Self::TooManyUploads { .. } => "too_many_uploads",
             Self::Store(_) | Self::Io(_) | Self::AnswerNotKept => "storage_failed",
             Self::DiskNearlyFull { .. } => "storage_full",
-            Self::MemoryShort { .. } => "memory_short",
+            Self::MemoryShort { .. } | Self::ReaderKilled => "memory_short",
             Self::Background(_) => "internal",
         }
     }
@@ -347,27 +362,27 @@ impl Error {
 
 /// Stable code of what is wrong with an upload.
 fn code_of_import(error: &IngestError) -> &'static str {
-    match error.cause() {
-        IngestError::ArchiveUnreadable { .. } => "archive_unreadable",
-        IngestError::UnsafeEntry { .. } => "archive_entry_unsafe",
-        IngestError::ArchiveTooLarge { .. } => "archive_too_large",
-        IngestError::UnknownLayout { .. } => "unknown_layout",
-        // Of many damaged frames the first one's cause stands for all, so the second is never met here.
-        IngestError::Malformed { .. } | IngestError::TooManyDamaged { .. } => "scene_file_malformed",
-        IngestError::MissingFile { .. } => "scene_file_missing",
-        IngestError::MissingIntrinsics { .. } => "intrinsics_missing",
-        IngestError::BadIntrinsics { .. } => "intrinsics_invalid",
-        IngestError::FrameCountMismatch { .. } => "frame_count_mismatch",
-        IngestError::BadPose { .. } => "pose_invalid",
-        IngestError::EmptyCloud { .. } => "cloud_empty",
-        IngestError::EmptyScene => "scene_empty",
-        IngestError::NoUsableFrames { .. } => "no_usable_frames",
-        IngestError::Frame(_) => "frame_unreadable",
-        IngestError::NothingFits { .. } => "convention_mismatch",
-        IngestError::DoesNotBelong { .. } => "frames_do_not_fit",
-        IngestError::IncompleteLayout { .. } => "layout_incomplete",
-        IngestError::UpUnknown { .. } => "up_unknown",
-        IngestError::Io { .. } => "storage_failed",
-        IngestError::Cancelled(_) => "cancelled",
+    match error.kind() {
+        IngestErrorKind::ArchiveUnreadable => "archive_unreadable",
+        IngestErrorKind::UnsafeEntry => "archive_entry_unsafe",
+        IngestErrorKind::ArchiveTooLarge => "archive_too_large",
+        IngestErrorKind::UnknownLayout => "unknown_layout",
+        IngestErrorKind::Malformed => "scene_file_malformed",
+        IngestErrorKind::MissingFile => "scene_file_missing",
+        IngestErrorKind::MissingIntrinsics => "intrinsics_missing",
+        IngestErrorKind::BadIntrinsics => "intrinsics_invalid",
+        IngestErrorKind::FrameCountMismatch => "frame_count_mismatch",
+        IngestErrorKind::BadPose => "pose_invalid",
+        IngestErrorKind::EmptyCloud => "cloud_empty",
+        IngestErrorKind::EmptyScene => "scene_empty",
+        IngestErrorKind::NoUsableFrames => "no_usable_frames",
+        IngestErrorKind::Frame => "frame_unreadable",
+        IngestErrorKind::NothingFits => "convention_mismatch",
+        IngestErrorKind::DoesNotBelong => "frames_do_not_fit",
+        IngestErrorKind::IncompleteLayout => "layout_incomplete",
+        IngestErrorKind::UpUnknown => "up_unknown",
+        IngestErrorKind::TooCostly => "scan_too_costly",
+        IngestErrorKind::Io => "storage_failed",
+        IngestErrorKind::Cancelled => "cancelled",
     }
 }

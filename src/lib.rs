@@ -7,6 +7,7 @@ pub mod error;
 pub mod evaluation;
 pub mod http;
 pub mod inference;
+pub mod isolation;
 pub mod jobs;
 mod memory;
 pub mod metrics;

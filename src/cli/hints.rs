@@ -2,7 +2,7 @@
 
 use camino::Utf8Path;
 use uniground_client::ClientError;
-use uniground_core::ingest::IngestError;
+use uniground_core::ingest::{IngestError, IngestErrorKind};
 use uniground_core::parse::ScanError;
 use uniground_types::job::JobError;
 
@@ -75,11 +75,11 @@ pub fn of_scan(error: anyhow::Error, scan: &Utf8Path) -> anyhow::Error {
         true => ended(&error, help),
         false => anyhow::anyhow!("{scan}: {error:#}\n{help}"),
     };
-    match (code, local.map(IngestError::cause)) {
-        (Some("up_unknown"), _) | (_, Some(IngestError::UpUnknown { .. })) => {
+    match (code, local.map(IngestError::kind)) {
+        (Some("up_unknown"), _) | (_, Some(IngestErrorKind::UpUnknown)) => {
             ended("say which axis of the files points up: --up z, or x, y, -x, -y, -z")
         }
-        (None, None | Some(IngestError::Cancelled(_))) => error,
+        (None, None | Some(IngestErrorKind::Cancelled)) => error,
         (Some(code), _) if !OF_SCANS.contains(&code) => error,
         _ => ended(&format!(
             "`uniground import {} --check` tells how a scan is read, and what is wrong with it",

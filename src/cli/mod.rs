@@ -35,6 +35,7 @@ mod upload;
 mod worker;
 
 use crate::config::{ServeConfig, WorkerConfig};
+use crate::isolation;
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
@@ -92,6 +93,9 @@ enum Command {
     Completions(completions::CompletionsArgs),
     /// Print or write pages for man
     Man(man::ManArgs),
+    /// Read one uploaded scan for the service that started this process
+    #[command(hide = true)]
+    IsolatedReader,
 }
 
 /// Runs the chosen subcommand.
@@ -132,6 +136,7 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
         Command::Openapi => openapi::run(),
         Command::Completions(args) => completions::run(args),
         Command::Man(args) => man::run(args),
+        Command::IsolatedReader => Ok(isolation::run()?),
     }
 }
 

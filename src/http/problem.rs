@@ -8,7 +8,7 @@ use axum::extract::Request;
 use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
-use uniground_core::ingest::IngestError;
+use uniground_core::ingest::IngestErrorKind;
 use uniground_core::models::with_causes;
 use uniground_types::problem::{FieldError, Problem};
 
@@ -127,28 +127,28 @@ fn status_of(error: &Error) -> StatusCode {
         return StatusCode::SERVICE_UNAVAILABLE;
     }
     match error {
-        Error::Ingest(error) => match error {
-            IngestError::ArchiveUnreadable { .. }
-            | IngestError::UnsafeEntry { .. }
-            | IngestError::UnknownLayout { .. }
-            | IngestError::Malformed { .. }
-            | IngestError::MissingFile { .. }
-            | IngestError::MissingIntrinsics { .. }
-            | IngestError::BadIntrinsics { .. }
-            | IngestError::FrameCountMismatch { .. }
-            | IngestError::BadPose { .. }
-            | IngestError::EmptyCloud { .. }
-            | IngestError::EmptyScene
-            | IngestError::NoUsableFrames { .. }
-            | IngestError::Frame(_)
-            | IngestError::TooManyDamaged { .. }
-            | IngestError::IncompleteLayout { .. }
-            | IngestError::UpUnknown { .. }
-            | IngestError::DoesNotBelong { .. }
-            | IngestError::NothingFits { .. } => StatusCode::UNPROCESSABLE_ENTITY,
-            IngestError::ArchiveTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
-            IngestError::Cancelled(_) => StatusCode::CONFLICT,
-            IngestError::Io { .. } => StatusCode::INTERNAL_SERVER_ERROR,
+        Error::Ingest(error) => match error.kind() {
+            IngestErrorKind::ArchiveUnreadable
+            | IngestErrorKind::UnsafeEntry
+            | IngestErrorKind::UnknownLayout
+            | IngestErrorKind::Malformed
+            | IngestErrorKind::MissingFile
+            | IngestErrorKind::MissingIntrinsics
+            | IngestErrorKind::BadIntrinsics
+            | IngestErrorKind::FrameCountMismatch
+            | IngestErrorKind::BadPose
+            | IngestErrorKind::EmptyCloud
+            | IngestErrorKind::EmptyScene
+            | IngestErrorKind::NoUsableFrames
+            | IngestErrorKind::Frame
+            | IngestErrorKind::IncompleteLayout
+            | IngestErrorKind::UpUnknown
+            | IngestErrorKind::DoesNotBelong
+            | IngestErrorKind::TooCostly
+            | IngestErrorKind::NothingFits => StatusCode::UNPROCESSABLE_ENTITY,
+            IngestErrorKind::ArchiveTooLarge => StatusCode::PAYLOAD_TOO_LARGE,
+            IngestErrorKind::Cancelled => StatusCode::CONFLICT,
+            IngestErrorKind::Io => StatusCode::INTERNAL_SERVER_ERROR,
         },
         Error::Parse(_) | Error::Invalid { .. } | Error::IdempotencyKeyReused | Error::NoScan { .. } => StatusCode::UNPROCESSABLE_ENTITY,
         Error::Jobs(error) => match error {
@@ -191,7 +191,7 @@ fn status_of(error: &Error) -> StatusCode {
         Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
         Error::TooManyScenes { .. } | Error::KeyRefused | Error::ImportNotAllowed => StatusCode::FORBIDDEN,
         Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
-        Error::DiskNearlyFull { .. } | Error::MemoryShort { .. } => StatusCode::INSUFFICIENT_STORAGE,
+        Error::DiskNearlyFull { .. } | Error::MemoryShort { .. } | Error::ReaderKilled => StatusCode::INSUFFICIENT_STORAGE,
         Error::Overloaded | Error::TooMany { .. } | Error::TooManyUploads { .. } => StatusCode::TOO_MANY_REQUESTS,
         Error::ParseDamaged { .. } | Error::VlmDown { .. } => StatusCode::SERVICE_UNAVAILABLE,
         Error::UploadTooSlow { .. } => StatusCode::REQUEST_TIMEOUT,

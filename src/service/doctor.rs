@@ -1,12 +1,13 @@
 //! Whether what is stored is whole: database against files, files against their sums. What can be made again is.
 
-use super::{ParseJob, Service};
+use super::{Caller, ParseJob, Service};
 use crate::error::Error;
 use crate::jobs::JobKind;
-use crate::store::{Damage, Look, Strays};
+use crate::store::{BrokenReference, Damage, Look, Strays};
 use std::fmt;
 use std::time::Duration;
 use tokio::task::spawn_blocking;
+use uniground_types::settings::ParseSettings;
 
 /// Something that is not as it should be.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -21,6 +22,8 @@ pub struct Finding {
 pub enum Trouble {
     /// The database itself. Nothing is done: restore a backup.
     Database,
+    /// Rows that refer to rows which do not exist: the reference is cleared or the rows are removed; scenes without a parse are parsed again.
+    References,
     /// A scan's files. They can not be made again: upload the scan once more.
     Content { hash: String },
     /// A parse's files: it is made again.
@@ -40,6 +43,7 @@ impl Trouble {
     #[must_use]
     pub fn remedy(&self) -> Option<&'static str> {
         match self {
+            Self::References => Some("clear or remove"),
             Self::Parse { .. } => Some("parse again"),
             Self::Unclaimed { .. } => Some("to the quarantine"),
             Self::Job { .. } => Some("end"),
@@ -52,6 +56,7 @@ impl fmt::Display for Trouble {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::Database => "database",
+            Self::References => "references",
             Self::Content { .. } => "scan",
             Self::Parse { .. } => "parse",
             Self::Unclaimed { .. } => "unclaimed folder",
@@ -72,6 +77,13 @@ impl Service {
         let mut found = |trouble, detail: String| findings.push(Finding { trouble, detail });
         for complaint in self.store.integrity().await? {
             found(Trouble::Database, complaint);
+        }
+        for BrokenReference { table, column, parent, is_optional, rows, .. } in self.store.broken_references().await? {
+            let remedy = if is_optional { "the reference is cleared" } else { "the rows are removed" };
+            found(
+                Trouble::References,
+                format!("{rows} rows of {table} refer by {column} to rows of {parent} that do not exist; repair: {remedy}"),
+            );
         }
         for hash in self.store.all_contents().await? {
             let (blobs, place) = (self.store.blobs.clone(), self.store.blobs.content(&hash));
@@ -110,12 +122,17 @@ impl Service {
     /// # Errors
     /// [`Error`] of the store; what was done stays done.
     pub async fn repair(&self, findings: &[Finding]) -> Result<(), Error> {
+        if findings.iter().any(|finding| finding.trouble == Trouble::References) {
+            for scene_id in self.store.repair_references().await? {
+                self.start_parse(&scene_id, &ParseSettings::default(), &Caller::operator()).await?;
+            }
+        }
         for Finding { trouble, .. } in findings {
             match trouble {
                 Trouble::Parse { id } => self.retire_parse(id).await?,
                 Trouble::Unclaimed { kind, name } => self.store.quarantine(vec![(kind, name.clone())]).await?,
                 Trouble::Job { id } => self.store.end_orphan(id).await?,
-                Trouble::Database | Trouble::Content { .. } | Trouble::Unjudged | Trouble::StrayFile => {}
+                Trouble::Database | Trouble::References | Trouble::Content { .. } | Trouble::Unjudged | Trouble::StrayFile => {}
             }
         }
         Ok(())

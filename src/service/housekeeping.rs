@@ -16,7 +16,7 @@ impl Service {
     /// # Errors
     /// [`Error`] of the store; what was done stays done.
     pub async fn keep_house(&self) -> Result<(), Error> {
-        self.store.clear_beside_others().await?;
+        self.store.recover_beside_others().await;
         // Copies are each process's own.
         if self.store.blobs.are_copies() {
             self.store.sweep(Beside::TheServer.settled()).await?;

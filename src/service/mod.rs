@@ -40,6 +40,7 @@ pub use vlm::{Vlm, VlmSettings, WhenNamed};
 
 use crate::error::Error;
 use crate::inference::Probe;
+use crate::isolation::ScanReader;
 use crate::jobs::{JobFailure, Jobs};
 use crate::memory::Memory;
 use crate::metrics::Metrics;
@@ -104,6 +105,8 @@ pub struct Service {
     growing: Arc<Mutex<()>>,
     /// Held while something is drawn or made for who looks at a scene: questions have their own places.
     drawing: Arc<Mutex<()>>,
+    /// Reads what was uploaded.
+    reader: ScanReader,
     /// Scans below it may be imported; `None`: nothing may.
     import_root: Option<Utf8PathBuf>,
     /// Where an inference server runs the networks.
@@ -142,6 +145,7 @@ impl Service {
             models,
             growing: Arc::default(),
             drawing: Arc::default(),
+            reader: ScanReader::in_process(),
             import_root: None,
             inference: None,
             health: Lately::default(),
@@ -158,6 +162,12 @@ impl Service {
         let keys = Keyring::open(store.clone(), None).await?;
         let pool = background::pool().map_err(|error| Error::Io(std::io::Error::other(error)))?;
         Ok(Self::new(store.clone(), Jobs::new(store, 0), keys, limits, None, Models::default(), pool))
+    }
+
+    /// Uploads are read this way; in this process where nothing else is said.
+    #[must_use]
+    pub fn reading_with(self, reader: ScanReader) -> Self {
+        Self { reader, ..self }
     }
 
     /// The neural models this server was started with.

@@ -87,7 +87,8 @@ impl Service {
 
     /// Of all scenes with these labels those that most likely have what a question asks for, at most so many, the likeliest first.
     pub(super) async fn likely_scenes(&self, query: &str, labels: &Labels, most: usize) -> Result<Vec<SceneRow>, Error> {
-        let sought = Arc::new(Sought::of(query));
+        let question = query.to_owned();
+        let sought = Arc::new(self.compute(move || Ok(Sought::of(&question))).await?);
         let mut rooms: HashMap<String, Vec<f32>> = HashMap::new();
         for at in 0..sought.len() {
             for (name, fit) in self.names_for(&sought, at).await? {

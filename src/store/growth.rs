@@ -110,16 +110,21 @@ impl Store {
     /// [`StoreError`].
     pub async fn remove_outgrown(&self, hash: &str) -> Result<Vec<Utf8PathBuf>, StoreError> {
         let mut tx = self.writer.begin().await?;
+        let removed = self.remove_outgrown_row(&mut tx, hash).await?;
+        tx.commit().await?;
+        Ok(if removed { vec![self.blobs.content(hash), self.blobs.checkpoints(hash)] } else { Vec::new() })
+    }
+
+    /// Removes the row of a content if it is outgrown; whether it was.
+    pub(super) async fn remove_outgrown_row(&self, tx: &mut Transaction, hash: &str) -> Result<bool, StoreError> {
         // What has grown from it has then grown from what it had grown from.
         let bridge = format!(
             "UPDATE contents SET grown_from = (SELECT grown_from FROM contents WHERE hash = $1)
              WHERE grown_from = $1 AND EXISTS (SELECT 1 FROM contents WHERE hash = $1 AND {OUTGROWN})"
         );
-        sqlx::query(sqlx::AssertSqlSafe(bridge)).bind(hash).execute(&mut *tx).await?;
+        sqlx::query(sqlx::AssertSqlSafe(bridge)).bind(hash).execute(&mut **tx).await?;
         let sql = format!("DELETE FROM contents WHERE hash = $1 AND {OUTGROWN}");
-        let removed = sqlx::query(sqlx::AssertSqlSafe(sql)).bind(hash).execute(&mut *tx).await?.rows_affected();
-        tx.commit().await?;
-        Ok(if removed > 0 { vec![self.blobs.content(hash), self.blobs.checkpoints(hash)] } else { Vec::new() })
+        Ok(sqlx::query(sqlx::AssertSqlSafe(sql)).bind(hash).execute(&mut **tx).await?.rows_affected() > 0)
     }
 
     /// Removes the rows of a content that no scene has any more, those of what it has grown from, and their parses; the folders of all of them.
@@ -185,7 +190,7 @@ impl Store {
     }
 }
 
-const OUTGROWN: &str = "NOT EXISTS (SELECT 1 FROM scenes WHERE content_hash = contents.hash)
+pub(super) const OUTGROWN: &str = "NOT EXISTS (SELECT 1 FROM scenes WHERE content_hash = contents.hash)
                         AND NOT EXISTS (SELECT 1 FROM parses WHERE content_hash = contents.hash)";
 
 /// Gives the changes that led to a scene's new version their number, where they began with the parse it had.

@@ -57,7 +57,7 @@ impl Store {
         Ok(self.folder.free_bytes()?)
     }
 
-    /// What SQLite finds wrong with the database; nothing where all is well. PostgreSQL watches over its own pages and references.
+    /// What SQLite finds wrong with the database; nothing where all is well. PostgreSQL checks its own pages. Foreign keys: [`broken_references`](Self::broken_references).
     ///
     /// # Errors
     /// [`StoreError::Database`].
@@ -67,10 +67,6 @@ impl Store {
         }
         let mut complaints: Vec<String> = sqlx::query_scalar("PRAGMA integrity_check").fetch_all(&self.reader).await?;
         complaints.retain(|complaint| complaint != "ok");
-        let broken: Vec<String> = sqlx::query_scalar("SELECT DISTINCT \"table\" FROM pragma_foreign_key_check")
-            .fetch_all(&self.reader)
-            .await?;
-        complaints.extend(broken.iter().map(|table| format!("rows of {table} refer to what is not there")));
         Ok(complaints)
     }
 

@@ -25,6 +25,8 @@ mod news;
 mod orphans;
 mod parses;
 mod records;
+mod recovery;
+mod references;
 mod retention;
 mod room_index;
 mod scenes;
@@ -55,6 +57,7 @@ pub use news::{News, Newsroom};
 pub use orphans::Orphan;
 pub use parses::{NewParse, ParseRow};
 pub use records::ParseRecord;
+pub use references::BrokenReference;
 pub use retention::{Aged, Before, Due};
 pub use room_index::{FoundEntry, RoomEntry, ToIndex};
 pub use scenes::{Inserted, NewSceneRow, SceneFilter, SceneRow, SceneRowChange};
@@ -216,9 +219,9 @@ impl Store {
     /// As [`open`](Self::open).
     pub async fn open_with(data_dir: &Utf8Path, location: &Location, home: &BlobHome, lease: Duration) -> Result<Self, StoreError> {
         let store = Self::open_for(data_dir, location, (home, Files::Used), Company::Welcome, lease).await?;
-        store.forget_what_the_gone_left().await?;
-        if store.members.was_alone {
-            store.clear_folder().await?;
+        match store.members.was_alone {
+            true => store.recover().await,
+            false => store.end_interrupted_work().await,
         }
         store.members.let_others_in().await?;
         Ok(store)
@@ -272,38 +275,6 @@ impl Store {
         };
         let store = Self::connect(connections, folder, blobs, members).await?;
         Ok(Self { server, ..store })
-    }
-
-    /// What nobody speaks of any more, and what is half done; only who is alone can tell.
-    async fn clear_folder(&self) -> Result<(), StoreError> {
-        self.forget_unused_rows().await?;
-        // What can not be swept is no reason not to serve.
-        if let Err(error) = self.sweep(Duration::ZERO).await {
-            tracing::warn!(error = &error as &dyn std::error::Error, "the data folder could not be swept");
-        }
-        self.remove_stray_uploads().await?;
-        let left_behind = self.blobs.left_behind(Duration::ZERO)?;
-        self.blobs.remove_later(left_behind);
-        Ok(())
-    }
-
-    /// Clears what processes that are gone have left, while others are at work.
-    ///
-    /// # Errors
-    /// [`StoreError`].
-    pub async fn clear_beside_others(&self) -> Result<(), StoreError> {
-        const DAY: Duration = Duration::from_hours(24);
-        self.forget_what_the_gone_left().await?;
-        self.remove_stray_uploads().await?;
-        let left_behind = self.blobs.left_behind(DAY)?;
-        self.blobs.remove_later(left_behind);
-        Ok(())
-    }
-
-    /// Ends what processes that are gone were in the middle of: batches that were being received, money that was put aside.
-    async fn forget_what_the_gone_left(&self) -> Result<(), StoreError> {
-        self.forget_half_received_batches().await?;
-        self.settle_what_was_left().await
     }
 
     /// Waits for the turn at something, by its name: nobody else has it meanwhile, in this process or in another.
@@ -401,19 +372,6 @@ impl Store {
         self.members.leave().await;
         self.reader.close().await;
         self.writer.close().await;
-    }
-
-    /// Forgets content no scene refers to: the loser of two uploads under one key.
-    async fn forget_unused_rows(&self) -> Result<(), StoreError> {
-        for unused in [
-            "DELETE FROM parses WHERE NOT EXISTS (SELECT 1 FROM scenes WHERE scenes.content_hash = parses.content_hash)
-             AND NOT EXISTS (SELECT 1 FROM answers WHERE parse_id = parses.id)",
-            "DELETE FROM contents WHERE NOT EXISTS (SELECT 1 FROM scenes WHERE content_hash = hash)
-             AND NOT EXISTS (SELECT 1 FROM parses WHERE content_hash = hash)",
-        ] {
-            sqlx::query(unused).execute(self.writer.pool()).await?;
-        }
-        Ok(())
     }
 }
 

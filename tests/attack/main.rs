@@ -12,8 +12,10 @@
 mod archives;
 mod crowds;
 mod disks;
+mod growth_kills;
 mod hostile;
 mod kills;
+mod responsiveness;
 #[allow(dead_code)]
 #[path = "../integration/server.rs"]
 mod server;
@@ -113,6 +115,8 @@ fn main() {
         uploads::run(form, &mut report).await;
         disks::run(form, &mut report).await;
         kills::run(form, &mut report).await;
+        growth_kills::run(form, &mut report).await;
+        responsiveness::run(form, &mut report).await;
         crowds::run(form, &mut report).await;
     });
     assert!(report.failed.is_empty(), "did not hold: {}", report.failed.join("; "));

@@ -1,7 +1,7 @@
 //! Uploads that are refused: by name, at once, with little memory, and leaving nothing.
 
 use crate::archives::Scan;
-use crate::hostile::{self, ZIP, ZST};
+use crate::hostile::{self, ANY, ZIP, ZST};
 use crate::server::{ask, finished};
 use crate::{Form, Report, Target, since};
 use reqwest::Method;
@@ -60,6 +60,23 @@ pub async fn run(form: Form, report: &mut Report) {
         ("6 more files than may be", ZIP, hostile::many_files(many), "archive_too_large", SOON),
         ("6 a million folders", ZST, hostile::many_folders(form.of(200_000, 1_000_000)), "archive_too_large", SOON),
         ("6 a gigabyte of zeros", ZIP, hostile::zeros(form.of(300 << 20, 1 << 30)), "archive_too_large", LATER),
+        ("2 a LAZ record of 2^40 bytes", ANY, hostile::laz_with_a_record(1 << 40), "scene_file_malformed", SOON),
+        ("2 a LAZ record of 6 GiB", ANY, hostile::laz_with_a_record(6 << 30), "scene_file_malformed", SOON),
+        ("2 a LAZ of 2^32 - 1 chunks", ANY, hostile::laz_with_chunks(u32::MAX), "scene_file_malformed", SOON),
+        (
+            "5 a GLB of millions of indices",
+            ZIP,
+            hostile::glb_of_indices(form.of(100_000_000, 400_000_000)),
+            "job scene_file_malformed",
+            LATER,
+        ),
+        (
+            "6 an E57 with a large description",
+            ZIP,
+            hostile::e57_of_elements(form.of(10_000, 51_000)),
+            "scene_file_malformed",
+            LATER,
+        ),
     ];
     let target = Target::start();
     let client = &target.process.client;

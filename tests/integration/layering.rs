@@ -21,7 +21,7 @@ const PACKAGES: [(&str, Floors); 3] = [
             &["error"],
             &["jobs"],
             &["store"],
-            &["chat", "inference", "metrics", "packages", "packing", "sample", "webhook", "words"],
+            &["chat", "inference", "isolation", "metrics", "packages", "packing", "sample", "webhook", "words"],
             &["memory", "trace_context"],
         ],
     ),

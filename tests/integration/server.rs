@@ -71,6 +71,11 @@ pub async fn loose_rows(data: &Utf8Path) -> AnyConnection {
     rows
 }
 
+/// The limits of a server in this process, whose children are processes of the program that is tested.
+pub fn limits() -> LimitsConfig {
+    LimitsConfig { reader_program: Some(env!("CARGO_BIN_EXE_uniground").into()), ..LimitsConfig::default() }
+}
+
 /// That of a server on a data folder, without models.
 pub fn config(data_dir: &Utf8Path) -> ServeConfig {
     ServeConfig {
@@ -84,7 +89,7 @@ pub fn config(data_dir: &Utf8Path) -> ServeConfig {
         fetch_models: false,
         vlm: VlmConfig::default(),
         webhook: WebhookConfig::default(),
-        limits: LimitsConfig::default(),
+        limits: limits(),
         log: LogConfig { log_format: LogFormat::Text, otlp_endpoint: None },
     }
 }
@@ -112,6 +117,7 @@ impl TestServer {
     /// A server on a data folder that may have been another server's.
     pub async fn start_on(data: tempfile::TempDir, limits: LimitsConfig, vlm: VlmConfig, models: ModelsConfig) -> Self {
         let config = config(Utf8Path::from_path(data.path()).unwrap());
+        let limits = LimitsConfig { reader_program: self::limits().reader_program, ..limits };
         let running = app::start(&ServeConfig { models, vlm, limits, ..config }).await.unwrap();
         let client = Client::new(&format!("http://{}", running.address), None).unwrap();
         Self { client, running, data }

@@ -3,8 +3,8 @@
 use crate::ingest::{self, Grown, IngestError, part_folder};
 use crate::models::attributes;
 use crate::models::neural::{Models, Role};
-use crate::progress::Progress;
-use crate::scene::{FrameRef, ImportReport, ParsedScene, SceneBundle, SourceToScene};
+use crate::progress::{Cancelled, Progress};
+use crate::scene::{FrameRef, ImportReport, ParsedScene, SceneBundle, SourceToScene, stream_frames};
 use crate::scene_parsing::checkpoints::Checkpoints;
 use crate::scene_parsing::correction::Corrector;
 use crate::scene_parsing::masks::rgbd::RgbdMasks;
@@ -30,6 +30,9 @@ pub enum ScanError {
     /// A working folder for encoded pictures could not be made.
     #[error("a file of the parse could not be read or written")]
     Io(#[from] std::io::Error),
+    /// The import is not stored: it has to be made.
+    #[error("the scan's import is not stored")]
+    NotImported,
 }
 
 /// Of the models at hand, those that the settings let take part.
@@ -103,6 +106,38 @@ impl ImportedScan {
         let largest = frames.iter().map(pixels).max().unwrap_or(0);
         self.bundle.points() as u64 * BYTES_PER_POINT + largest * BYTES_PER_PIXEL * rayon::current_num_threads() as u64
     }
+
+    /// What the import took, for the report of the parse.
+    #[must_use]
+    pub fn stages(&self) -> &[StageReport] {
+        &self.stages
+    }
+
+    /// The same scan with the stages of an import that another process has made.
+    #[must_use]
+    pub fn with_stages(self, stages: Vec<StageReport>) -> Self {
+        Self { stages, ..self }
+    }
+
+    /// Decodes every picture of the scan once and lets go of it. Pictures that are damaged are no error: stage 1 names those it meets. Whoever
+    /// runs this where a fault does no harm knows that none of them crashes its decoder or takes too much memory.
+    ///
+    /// # Errors
+    /// [`ScanError::Ingest`] when the work was cancelled.
+    pub fn try_pictures(&self, progress: &Progress) -> Result<(), ScanError> {
+        let (_, frames) = self.bundle.in_all();
+        let all = frames.len().max(1) as f32;
+        stream_frames(
+            &frames,
+            |frame| {
+                progress.check()?;
+                drop((frame.decode_colour(), frame.decode_depth()));
+                Ok::<_, Cancelled>(())
+            },
+            |at, ()| progress.report("check_pictures", at as f32 / all),
+        )
+        .map_err(|cancelled| ScanError::Ingest(cancelled.into()))
+    }
 }
 
 /// Import of an unpacked scan: reads or fuses its cloud, and checks that cloud, poses and depth agree; blocks.
@@ -115,9 +150,38 @@ pub fn import_scan(
     checkpoints: &Checkpoints,
     progress: &Progress,
 ) -> Result<ImportedScan, ScanError> {
+    timed_import(content, settings, checkpoints, progress, Missing::Made)
+}
+
+/// The import of a scan as it is stored in its checkpoints; `None` where it is not. Nothing of the scan itself is decoded.
+///
+/// # Errors
+/// [`ScanError::Ingest`] where the list of a scan's parts can not be read.
+pub fn stored_import(content: &Utf8Path, settings: &ImportSettings, checkpoints: &Checkpoints) -> Result<Option<ImportedScan>, ScanError> {
+    match timed_import(content, settings, checkpoints, &Progress::silent(), Missing::Refused) {
+        Ok(scan) => Ok(Some(scan)),
+        Err(ScanError::NotImported) => Ok(None),
+        Err(error) => Err(error),
+    }
+}
+
+/// What happens to a part of an import that no checkpoint holds.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Missing {
+    Made,
+    Refused,
+}
+
+fn timed_import(
+    content: &Utf8Path,
+    settings: &ImportSettings,
+    checkpoints: &Checkpoints,
+    progress: &Progress,
+    missing: Missing,
+) -> Result<ImportedScan, ScanError> {
     let mut watch = Stopwatch::default();
     let bundle = watch.time("import", |outcome| {
-        let (bundle, reused) = import(content, settings, checkpoints, progress)?;
+        let (bundle, reused) = import(content, settings, checkpoints, progress, missing)?;
         *outcome = StageOutcome { produced: bundle.points(), reused };
         Ok::<_, ScanError>(bundle)
     })?;
@@ -158,13 +222,16 @@ fn import(
     settings: &ImportSettings,
     checkpoints: &Checkpoints,
     progress: &Progress,
+    missing: Missing,
 ) -> Result<(SceneBundle, bool), ScanError> {
+    let may_load = || if missing == Missing::Made { Ok(()) } else { Err(ScanError::NotImported) };
     let added = Grown::read(content)?.map_or_else(Vec::new, |grown| grown.parts.into_iter().skip(1).collect());
     let first = if added.is_empty() { content.to_owned() } else { part_folder(content, 0) };
     let share = |parts: usize| parts as f32 / (added.len() + 1) as f32;
     // Kept with paths relative to the folder, which may lie elsewhere tomorrow.
     let below = |folder: &Utf8Path, path: &Utf8Path| path.strip_prefix(folder).unwrap_or(path).to_owned();
     let load = || {
+        may_load()?;
         let bundle = ingest::load(&ingest::open(&first)?, settings, &progress.part(0.0, share(1)))?;
         Ok::<_, ScanError>(bundle.with_paths(|path| below(&first, path)))
     };
@@ -178,6 +245,7 @@ fn import(
         checkpoints = checkpoints.depending_on(&made_of);
         let cloud = known.as_ref().unwrap_or(&bundle.cloud);
         let load = || {
+            may_load()?;
             let (first, looking) = (bundle.next_frame(), progress.part(share(number), share(number + 1)));
             let to_scene = part.to_scene.unwrap_or(to_scene);
             let addition = ingest::add(ingest::open(&folder)?, made_of, &to_scene, cloud, first, settings, &looking)?;

@@ -69,7 +69,7 @@ pub struct ApproachRequest {
     pub instance_id: Option<InstanceId>,
     /// What to find, in plain English: answered by the built-in reasoner, and kept like any answer.
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 2000))]
+    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000))]
     pub query: Option<String>,
     /// Who is to stand there.
     pub robot: Robot,

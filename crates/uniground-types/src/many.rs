@@ -18,7 +18,7 @@ pub const MOST_SCENES: usize = 1000;
 #[serde(deny_unknown_fields)]
 pub struct ManyGroundRequest {
     /// What to find, in plain English.
-    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 2000, example = "the red mug"))]
+    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000, example = "the red mug"))]
     pub query: String,
     /// Ids of the scenes to look in; left out: all.
     #[serde(default, skip_serializing_if = "Option::is_none")]

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 /// (docs/EVALUATION.md).
 pub const DEFAULT_MIN_CONFIDENCE: f32 = 0.5;
 
-const MAX_QUERY_CHARS: usize = 2000;
+const MAX_QUERY_CHARS: usize = 1000;
 
 const MAX_TOP_K: u32 = 100;
 
@@ -198,7 +198,7 @@ impl DirectionConvention {
 #[serde(deny_unknown_fields)]
 pub struct GroundRequest {
     /// What to find, in plain English.
-    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 2000, example = "the black chair closest to the door"))]
+    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000, example = "the black chair closest to the door"))]
     pub query: String,
     /// Candidates to keep; contact sheets (`evidence`) show 24 at least.
     #[serde(default = "default_top_k")]
@@ -258,7 +258,7 @@ pub struct GroundRequest {
 #[serde(deny_unknown_fields)]
 pub struct ShortlistRequest {
     /// What to find, in plain English.
-    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 2000, example = "the black chair"))]
+    #[cfg_attr(feature = "openapi", schema(min_length = 1, max_length = 1000, example = "the black chair"))]
     pub query: String,
     /// Most candidates to send back; fewer when fewer fit.
     #[serde(default = "default_top_k")]

@@ -62,7 +62,7 @@ pub(super) struct Ground {
     /// Of `list_scenes`.
     pub scene_id: String,
     /// What to find, in plain English: "the black chair closest to the door", "all the mugs".
-    #[schema(min_length = 1, max_length = 2000)]
+    #[schema(min_length = 1, max_length = 1000)]
     pub query: String,
     /// Who asks, where "left", "in front of me" and the like are theirs.
     pub observer: Option<Observer>,
@@ -129,7 +129,7 @@ impl From<Answer> for Grounded {
 #[serde(deny_unknown_fields)]
 pub(super) struct FindInScenes {
     /// What to find, in plain English: "the red mug".
-    #[schema(min_length = 1, max_length = 2000)]
+    #[schema(min_length = 1, max_length = 1000)]
     pub query: String,
     /// Look only in scenes with all of these labels; left out, in all.
     #[serde(default)]
@@ -253,7 +253,7 @@ pub(super) struct Approach {
     #[schema(minimum = 1)]
     pub instance_id: Option<u32>,
     /// What to find, in plain English.
-    #[schema(min_length = 1, max_length = 2000)]
+    #[schema(min_length = 1, max_length = 1000)]
     pub query: Option<String>,
     pub robot: Robot,
     /// Where the robot is: then each pose has its path.

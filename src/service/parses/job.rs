@@ -2,18 +2,20 @@
 
 use super::{files, settings_hash};
 use crate::error::Error;
+use crate::isolation::{Outcome, Task};
 use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
 use crate::service::{Service, job_failure, until_cancelled};
 use crate::store::{Continued, NewParse, SceneRow};
 use camino::Utf8Path;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
+use std::io;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 use tokio::task::spawn_blocking;
 use tokio::time::{sleep, timeout};
 use uniground_core::ingest::Grown;
-use uniground_core::parse::{ParsedScan, STAGE_1_VERSION, chosen, cut_scan, import_scan, share_of_import};
+use uniground_core::parse::{ImportedScan, ParsedScan, STAGE_1_VERSION, chosen, cut_scan, share_of_import, stored_import};
 use uniground_core::progress::Progress;
 use uniground_core::scene_parsing::checkpoints::Checkpoints;
 use uniground_types::settings::{ParseSettings, with_names_of_today};
@@ -117,11 +119,18 @@ impl Service {
         let (service, entered, scan_folder, parsing) = (self.clone(), span.clone(), content.clone(), progress.part(0.0, parsed_by));
         let work = move || {
             let _entered = entered.enter();
-            let checkpoints = Checkpoints::kept_in(&blobs.use_checkpoints(&hash)?, &origin);
+            let folder = blobs.use_checkpoints(&hash)?;
+            let checkpoints = Checkpoints::kept_in(&folder, &origin);
             let imported = share_of_import(&chosen(job_settings.models, &models));
+            let scan = if let Some(scan) = stored_import(&scan_folder, &job_settings.import, &checkpoints)? {
+                scan
+            } else {
+                let (content, settings) = (scan_folder.to_path_buf(), job_settings.import.clone());
+                let task = Task::Import { content, settings, checkpoints: folder, origin };
+                service.import(&task, &checkpoints, &parsing.part(0.0, imported))?
+            };
             // In the pool of parses: what it does in parallel stays there, and gives way.
             pool.install(|| {
-                let scan = import_scan(&scan_folder, &job_settings.import, &checkpoints, &parsing.part(0.0, imported))?;
                 service.check_memory(scan.memory_wanted())?;
                 Ok::<_, Error>(cut_scan(scan, &job_settings, &models, &checkpoints, &parsing.part(imported, 1.0))?)
             })
@@ -193,6 +202,18 @@ impl Service {
             .questions
             .parsed(start.elapsed(), computed.map(|stage| (stage.stage.as_str(), stage.seconds)));
         Ok(format!("{} instances from {} points and {} frames", report.instances, report.points, report.frames_used))
+    }
+
+    /// Has a scan imported, away from here where that is how this service reads; blocks.
+    fn import(&self, task: &Task, checkpoints: &Checkpoints, progress: &Progress) -> Result<ImportedScan, Error> {
+        let outcome = self.reader.import(task, progress)?;
+        let (Task::Import { content, settings, .. }, Outcome::Imported { stages }) = (task, outcome) else {
+            return Err(Error::Io(io::Error::other("the reader of scans answered another question")));
+        };
+        let scan = stored_import(content, settings, checkpoints)?;
+        // A full disk, most likely: checkpoints are not written then.
+        let scan = scan.ok_or_else(|| Error::Io(io::Error::other("the scan's import could not be stored")))?;
+        Ok(scan.with_stages(stages))
     }
 
     /// Makes a stored parse of the same content and settings the scene's own, where there is one.

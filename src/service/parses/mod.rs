@@ -230,33 +230,35 @@ impl Service {
         let mut instances = self.store.instances(parse_id).await?;
         let named_by = self.give_names(parse_id, &mut instances).await?;
         let corrections = self.store.corrections(parse_id).await?;
-        correct(&mut instances, &corrections);
-        // What was found since no encoder has seen; what was merged looks like its members together.
         let (blobs, folder) = (self.store.blobs.clone(), self.store.blobs.parse(parse_id));
-        let seen = spawn_blocking(move || {
-            Ok::<_, Error>((files::read_embeddings(&blobs, &folder)?, files::read_frame_embeddings(&blobs, &folder)?))
-        });
-        let (embeddings, frame_embeddings) = seen.await??;
-        let embeddings = embeddings.map(|seen| {
-            let seen = seen.padded_to(instances.len());
-            let merged = instances.iter().enumerate().filter(|(_, instance)| !instance.merged_from.is_empty());
-            merged.fold(seen, |seen, (at, merged)| seen.with_mean(merged.merged_from.iter().map(|id| id.0 as usize - 1), at))
-        });
-        let around = || Aabb::around(&instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>());
-        Ok(LoadedParse {
-            id: parse_id.to_owned(),
-            content: self.store.blobs.content(&row.content_hash),
-            embeddings,
-            frame_embeddings,
-            renamed: renamed(&corrections),
-            extent: extent.or_else(around).ok_or_else(gone)?,
-            source_to_scene: import.and_then(|import| import.source_to_scene),
-            names: NameIndex::of(&instances),
-            named_by,
-            instances,
-            masks: models.masks,
-            encoder: models.encoder,
-        })
+        let (id, content, masks, encoder) = (parse_id.to_owned(), blobs.content(&row.content_hash), models.masks, models.encoder);
+        let source_to_scene = import.and_then(|import| import.source_to_scene);
+        // Names are read as questions are: that computes.
+        let read = move || {
+            correct(&mut instances, &corrections);
+            // What was found since no encoder has seen; what was merged looks like its members together.
+            let embeddings = files::read_embeddings(&blobs, &folder)?.map(|seen| {
+                let seen = seen.padded_to(instances.len());
+                let merged = instances.iter().enumerate().filter(|(_, instance)| !instance.merged_from.is_empty());
+                merged.fold(seen, |seen, (at, merged)| seen.with_mean(merged.merged_from.iter().map(|id| id.0 as usize - 1), at))
+            });
+            let around = || Aabb::around(&instances.iter().flat_map(|i| i.aabb.corners()).collect::<Vec<_>>());
+            Ok(LoadedParse {
+                content,
+                embeddings,
+                frame_embeddings: files::read_frame_embeddings(&blobs, &folder)?,
+                renamed: renamed(&corrections),
+                extent: extent.or_else(around).ok_or_else(|| Error::SceneNotFound { id: id.clone() })?,
+                source_to_scene,
+                names: NameIndex::of(&instances),
+                named_by,
+                instances,
+                masks,
+                encoder,
+                id,
+            })
+        };
+        spawn_blocking(read).await?
     }
 }
 

@@ -2,8 +2,10 @@
 
 use super::uploads::Received;
 use crate::error::Error;
+use crate::isolation::Task;
 use crate::jobs::Job;
-use crate::service::answers::{Frame, StoredScene};
+use crate::service::answers::Frame;
+use crate::service::parses::ParseFile;
 use crate::service::{Caller, MAX_UPLOADS, ParseJob, Service};
 use crate::store::{Grew, Growth, SceneRow};
 use bytes::Bytes;
@@ -12,7 +14,6 @@ use futures::Stream;
 use sha2::{Digest, Sha256};
 use std::fs;
 use tokio::task::spawn_blocking;
-use uniground_core::grounding::pipeline::SceneSource;
 use uniground_core::ingest::{self, Grown, Part, part_folder};
 use uniground_core::scene::SourceToScene;
 use uniground_types::placement::{FrameChoice, SceneToFrame};
@@ -75,23 +76,19 @@ impl Service {
             };
         }
         let (scene, _) = self.ready_scene(scene_id).await?;
-        let stored = StoredScene::new(self.clone(), parse);
-        let known = self.draw(stored, |_, scene| scene.render_scene()).await?;
-        let from = (scene.content_hash.clone(), parse_to_scene(part.to_scene, self.loaded_parse(&parse_id).await?.source_to_scene));
-        let (service, bytes) = (self.clone(), received.bytes);
-        let laid = spawn_blocking(move || {
-            service.lay_beside(&scene, received, part, |folder| {
-                let scan = ingest::open(folder)?;
-                Ok(ingest::fits(scan, &from.1, &known.cloud, 0).map(drop)?)
-            })
-        })
-        .await??;
+        let from_content = scene.content_hash.clone();
+        let to_scene = parse_to_scene(part.to_scene, parse.source_to_scene);
+        let cloud = self.sound_file(&parse_id, ParseFile::Cloud.of(&self.store.blobs.parse(&parse_id))).await?;
+        let bytes = received.bytes;
+        let laid = self
+            .lay_beside(scene, received, part, |folder| Task::CheckFit { folder, cloud: cloud.to_path_buf(), to_scene })
+            .await?;
         let references = self.content_references().await?;
         let settings = self.store.parse(&parse_id).await?.map(|parse| parse.record().settings).unwrap_or_default();
         let wanted = self.wanted_parse(scene_id, &laid, &settings, caller).await?;
         let grew = self.store.grow_scene(Growth {
             scene_id,
-            from_content: &from.0,
+            from_content: &from_content,
             content_hash: &laid,
             content_bytes: bytes,
             key: key.as_deref().map(|key| (key, request.as_str())),
@@ -113,42 +110,52 @@ impl Service {
         Ok((self.present(scene).await?, job))
     }
 
-    /// Puts what a scene is made of and what was received in place as one content, once `check` has nothing against it; its hash. Blocks.
-    fn lay_beside(
+    /// Puts what a scene is made of and what was received in place as one content, once both checks have nothing against it; its hash.
+    async fn lay_beside(
         &self,
-        scene: &SceneRow,
+        scene: SceneRow,
         received: Received,
         part: Part,
-        check: impl FnOnce(&Utf8Path) -> Result<(), Error>,
+        fits: impl FnOnce(Utf8PathBuf) -> Task,
     ) -> Result<String, Error> {
-        let blobs = &self.store.blobs;
-        let content = blobs.whole(&blobs.content(&scene.content_hash))?;
-        let so_far = Grown::read(&content)?;
-        let mut grown = so_far.clone().unwrap_or_else(|| Grown::from_upload(&scene.content_hash));
-        if grown.parts.len() > MOST_PARTS {
-            return Err(Error::GrownTooOften { most: MOST_PARTS });
-        }
-        let scratch = blobs.scratch()?;
-        let folder = part_folder(scratch.path(), grown.parts.len());
-        fs::create_dir_all(&folder)?;
-        received.unpack(&folder, &self.limits.unpack)?;
-        check(&folder)?;
-        // A scan that has grown before has its parts already.
-        let below = if so_far.is_some() { Utf8PathBuf::new() } else { part_folder(Utf8Path::new(""), 0) };
-        let mut sums = blobs.share(&content, &scratch, &below)?;
-        grown.parts.push(part);
-        let list = scratch.path().join(ingest::GROWN);
-        // Linked to the list of before, which never changes.
-        if so_far.is_some() {
-            fs::remove_file(&list)?;
-            sums.remove(Utf8Path::new(ingest::GROWN));
-        }
-        grown.write(scratch.path())?;
-        // What a scene has become is its own: its ids depend on what it was.
-        let hash = hash_of(&(&scene.id, &scene.content_hash, &grown))?;
-        blobs.publish_knowing(scratch, &blobs.content(&hash), &sums)?;
-        blobs.inherit_checkpoints(&scene.content_hash, &hash)?;
-        Ok(hash)
+        let blobs = self.store.blobs.clone();
+        let content_hash = scene.content_hash.clone();
+        let prepared = spawn_blocking(move || {
+            let content = blobs.whole(&blobs.content(&content_hash))?;
+            let so_far = Grown::read(&content)?;
+            let parts = so_far.as_ref().map_or(1, |grown| grown.parts.len());
+            if parts > MOST_PARTS {
+                return Err(Error::GrownTooOften { most: MOST_PARTS });
+            }
+            let scratch = blobs.scratch()?;
+            let folder = part_folder(scratch.path(), parts);
+            fs::create_dir_all(&folder)?;
+            Ok((content, so_far, scratch, folder))
+        });
+        let (content, so_far, scratch, folder) = prepared.await??;
+        self.reader.check(received.unpacking(&folder, &self.limits.unpack)).await?;
+        self.reader.check(fits(folder)).await?;
+        let blobs = self.store.blobs.clone();
+        let publish = move || {
+            let mut grown = so_far.clone().unwrap_or_else(|| Grown::from_upload(&scene.content_hash));
+            // A scan that has grown before has its parts already.
+            let below = if so_far.is_some() { Utf8PathBuf::new() } else { part_folder(Utf8Path::new(""), 0) };
+            let mut sums = blobs.share(&content, &scratch, &below)?;
+            grown.parts.push(part);
+            let list = scratch.path().join(ingest::GROWN);
+            // Linked to the list of before, which never changes.
+            if so_far.is_some() {
+                fs::remove_file(&list)?;
+                sums.remove(Utf8Path::new(ingest::GROWN));
+            }
+            grown.write(scratch.path())?;
+            // What a scene has become is its own: its ids depend on what it was.
+            let hash = hash_of(&(&scene.id, &scene.content_hash, &grown))?;
+            blobs.publish_knowing(scratch, &blobs.content(&hash), &sums)?;
+            blobs.inherit_checkpoints(&scene.content_hash, &hash)?;
+            Ok(hash)
+        };
+        spawn_blocking(publish).await?
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::pieces::Pieces;
 use crate::error::Error;
+use crate::isolation::{Outcome, Task};
 use crate::jobs::Job;
 use crate::service::parses::WantedParse;
 use crate::service::{Caller, MAX_UPLOADS, ParseJob, Service};
@@ -16,7 +17,7 @@ use std::sync::Arc;
 use tempfile::NamedTempFile;
 use tokio::task::spawn_blocking;
 use uniground_core::ingest::archive::UnpackLimits;
-use uniground_core::ingest::{self, Packed, what_it_is};
+use uniground_core::ingest::{Packed, what_it_is};
 use uniground_types::scenes::Scene;
 use uniground_types::settings::ParseSettings;
 
@@ -38,7 +39,8 @@ pub struct Received {
     path: Utf8PathBuf,
     /// Goes with this, where it is nobody else's.
     file: Option<NamedTempFile>,
-    packed: Packed,
+    /// What it was called, where that is known.
+    file_name: String,
     /// SHA-256 of the bytes, hex.
     pub hash: String,
     pub bytes: u64,
@@ -83,9 +85,9 @@ impl Receiving {
     }
 
     fn finish(self, path: Utf8PathBuf, file: Option<NamedTempFile>, file_name: &str) -> Result<Received, Error> {
-        let packed = what_comes(&self.head, file_name)?;
+        what_comes(&self.head, file_name)?;
         let hash = self.hasher.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-        Ok(Received { path, file, packed, hash, bytes: self.bytes })
+        Ok(Received { path, file, file_name: file_name.to_owned(), hash, bytes: self.bytes })
     }
 }
 
@@ -95,9 +97,9 @@ pub fn what_comes(head: &[u8], file_name: &str) -> Result<Packed, Error> {
 }
 
 impl Received {
-    /// Unpacks it into a folder, which is there; blocks.
-    pub fn unpack(&self, into: &Utf8Path, limits: &UnpackLimits) -> Result<(), Error> {
-        Ok(self.packed.unpack(&self.path, into, limits)?)
+    /// The task that unpacks it into a folder, which is there and empty, and checks it as a scan.
+    pub fn unpacking(&self, into: &Utf8Path, limits: &UnpackLimits) -> Task {
+        Task::Unpack { archive: self.path.clone(), file_name: self.file_name.clone(), folder: into.to_owned(), limits: *limits }
     }
 
     /// An archive that is on the disk already, read once; it stays there.
@@ -283,31 +285,38 @@ impl Service {
 
     /// Unpacks what came, puts it through the importer's checks, and has all of it ready to be published.
     async fn unpack(&self, received: Arc<Received>) -> Result<Unpacked, Error> {
-        let (blobs, limits) = (self.store.blobs.clone(), self.limits.unpack);
+        let blobs = self.store.blobs.clone();
+        let folder = spawn_blocking(move || blobs.scratch()).await??;
+        let name = self.checked_name(received.unpacking(folder.path(), &self.limits.unpack)).await?;
+        let blobs = self.store.blobs.clone();
         spawn_blocking(move || {
-            let folder = blobs.scratch()?;
-            received.unpack(folder.path(), &limits)?;
             if let Some(file) = &received.file {
                 // It is all unpacked: nothing of the archive that is still in memory has to reach the disk.
                 file.as_file().set_len(0)?;
             }
-            let name = name_or_scene(ingest::open(folder.path())?.name);
             let folder = blobs.prepare(folder, &blobs.content(&received.hash))?;
             Ok(Unpacked { folder, name })
         })
         .await?
     }
 
+    /// Checks a scan and returns what it calls itself.
+    async fn checked_name(&self, check: Task) -> Result<String, Error> {
+        Ok(match self.reader.check(check).await? {
+            Outcome::Scan { name } => name_or_scene(name),
+            Outcome::Fits | Outcome::Imported { .. } => name_or_scene(None),
+        })
+    }
+
     /// What a stored archive calls itself.
     async fn archive_name(&self, hash: &str) -> Result<String, Error> {
         let (blobs, content) = (self.store.blobs.clone(), self.store.blobs.content(hash));
-        let read = spawn_blocking(move || {
-            let scan = blobs.whole(&content)?;
-            Ok::<_, Error>(ingest::open(&scan)?)
-        });
-        let read = read.await?;
+        let Ok(scan) = spawn_blocking(move || blobs.whole(&content)).await? else { return Ok(name_or_scene(None)) };
         // Removed in between: it is unpacked again, and called what scenes without a name are called.
-        Ok(name_or_scene(read.ok().and_then(|scan| scan.name)))
+        Ok(self
+            .checked_name(Task::Inspect { folder: scan.to_path_buf() })
+            .await
+            .unwrap_or_else(|_| name_or_scene(None)))
     }
 }
 

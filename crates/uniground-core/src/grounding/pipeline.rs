@@ -98,7 +98,9 @@ pub async fn answer<S: SceneSource>(source: &Arc<S>, ask: Ask) -> Result<Answere
     let Ask { question, parser, without_parser, allow_builtin_encoder, review } = ask;
     let least = question.min_confidence;
     let start = Instant::now();
-    let Reading { parsed, by, mut calls, fell_back } = parser.read(&question.query).await;
+    let query = question.query.clone();
+    let grammar = source.compute(move |_| Ok(parse(&query))).await?;
+    let Reading { parsed, by, mut calls, fell_back } = parser.read(&question.query, grammar).await;
     let (mut corrections, mut degraded) = (Vec::new(), false);
     if let Some(FellBack { why, was_demanded }) = fell_back {
         // A model that said something nobody can use was asked all the same.
@@ -338,10 +340,9 @@ pub async fn shortlist<S: SceneSource>(
     allow_builtin_encoder: bool,
     top_k: usize,
 ) -> Result<Shortlist, S::Error> {
-    let parsed = parse(&query);
     source
         .compute(move |source| {
-            let parsed = settled(scene_view(source, None), parsed);
+            let parsed = settled(scene_view(source, None), parse(&query));
             shortlist_of(source, &query, &parsed, scoring, allow_builtin_encoder, top_k)
         })
         .await

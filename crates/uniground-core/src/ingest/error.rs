@@ -4,6 +4,7 @@ use crate::geometry::pose::PoseError;
 use crate::progress::Cancelled;
 use crate::scene::{FrameError, FrameIndex};
 use camino::Utf8PathBuf;
+use serde::{Deserialize, Serialize};
 use std::io;
 
 /// Why a scan is refused, could not be read, or was called off.
@@ -65,29 +66,83 @@ pub enum IngestError {
         #[source]
         source: io::Error,
     },
+    #[error("{file}: reading it takes more than {limit}")]
+    TooCostly { file: Utf8PathBuf, limit: String },
     #[error(transparent)]
     Cancelled(#[from] Cancelled),
+    /// The error of a reader in another process, by its kind and its message.
+    #[error("{message}")]
+    Reported { kind: IngestErrorKind, message: String },
+}
+
+/// Kinds of [`IngestError`], without their details: what a stable code is given for. Of many damaged frames the first one's kind stands for all.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[allow(missing_docs)] // Each is the error of the same name.
+pub enum IngestErrorKind {
+    ArchiveUnreadable,
+    UnsafeEntry,
+    ArchiveTooLarge,
+    UnknownLayout,
+    Malformed,
+    MissingFile,
+    MissingIntrinsics,
+    BadIntrinsics,
+    FrameCountMismatch,
+    BadPose,
+    EmptyCloud,
+    EmptyScene,
+    NoUsableFrames,
+    IncompleteLayout,
+    UpUnknown,
+    Frame,
+    NothingFits,
+    DoesNotBelong,
+    TooCostly,
+    Io,
+    Cancelled,
 }
 
 impl IngestError {
+    /// The kind that a stable code is given for: of many damaged frames the first one's.
+    #[must_use]
+    pub fn kind(&self) -> IngestErrorKind {
+        match self {
+            Self::ArchiveUnreadable { .. } => IngestErrorKind::ArchiveUnreadable,
+            Self::UnsafeEntry { .. } => IngestErrorKind::UnsafeEntry,
+            Self::ArchiveTooLarge { .. } => IngestErrorKind::ArchiveTooLarge,
+            Self::UnknownLayout { .. } => IngestErrorKind::UnknownLayout,
+            Self::Malformed { .. } => IngestErrorKind::Malformed,
+            Self::MissingFile { .. } => IngestErrorKind::MissingFile,
+            Self::MissingIntrinsics { .. } => IngestErrorKind::MissingIntrinsics,
+            Self::BadIntrinsics { .. } => IngestErrorKind::BadIntrinsics,
+            Self::FrameCountMismatch { .. } => IngestErrorKind::FrameCountMismatch,
+            Self::BadPose { .. } => IngestErrorKind::BadPose,
+            Self::EmptyCloud { .. } => IngestErrorKind::EmptyCloud,
+            Self::EmptyScene => IngestErrorKind::EmptyScene,
+            Self::NoUsableFrames { .. } => IngestErrorKind::NoUsableFrames,
+            Self::TooManyDamaged { first, .. } => first.kind(),
+            Self::IncompleteLayout { .. } => IngestErrorKind::IncompleteLayout,
+            Self::UpUnknown { .. } => IngestErrorKind::UpUnknown,
+            Self::Frame(_) => IngestErrorKind::Frame,
+            Self::NothingFits { .. } => IngestErrorKind::NothingFits,
+            Self::DoesNotBelong { .. } => IngestErrorKind::DoesNotBelong,
+            Self::TooCostly { .. } => IngestErrorKind::TooCostly,
+            Self::Io { .. } => IngestErrorKind::Io,
+            Self::Cancelled(_) => IngestErrorKind::Cancelled,
+            Self::Reported { kind, .. } => *kind,
+        }
+    }
+
     /// A file of the archive that could not be read: the uploader's doing unless the disk failed.
     pub(super) fn reading(file: impl Into<Utf8PathBuf>, source: io::Error) -> Self {
-        use io::ErrorKind::{InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound};
+        use io::ErrorKind::{InvalidData, InvalidFilename, InvalidInput, IsADirectory, NotADirectory, NotFound, UnexpectedEof};
         let file = file.into();
         match source.kind() {
             NotFound => Self::MissingFile { file },
             InvalidData => Self::malformed(file, "not a text file in UTF-8"),
+            UnexpectedEof => Self::malformed(file, "it ends too early"),
             IsADirectory | NotADirectory | InvalidFilename | InvalidInput => Self::malformed(file, "not the name of a file"),
             _ => Self::Io { file, source },
-        }
-    }
-
-    /// The error that a stable code is given for: of many damaged frames the first one's.
-    #[must_use]
-    pub fn cause(&self) -> &Self {
-        match self {
-            Self::TooManyDamaged { first, .. } => first.cause(),
-            other => other,
         }
     }
 

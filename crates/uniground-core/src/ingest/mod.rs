@@ -22,13 +22,13 @@ mod sens;
 mod unpacked;
 mod validate;
 
-pub use error::IngestError;
+pub use error::{IngestError, IngestErrorKind};
 pub use growth::{Fits, add, fits};
 pub use load::{Inspected, inspect, load, read_cloud};
 pub use neighbours::{Neighbours, neighbours};
 pub use parts::{GROWN, Grown, Part, part_folder};
 pub use scan::Scan;
-pub use unpacked::{Packed, Unpacked, what_it_is};
+pub use unpacked::{Packed, Unpacked, head_of, what_it_is};
 
 use camino::Utf8Path;
 

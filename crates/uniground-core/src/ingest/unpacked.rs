@@ -94,7 +94,8 @@ impl Packed {
 }
 
 /// The first bytes of a file.
-pub(super) fn head_of(file: &Utf8Path) -> Vec<u8> {
+#[must_use]
+pub fn head_of(file: &Utf8Path) -> Vec<u8> {
     let mut head = Vec::new();
     // What can not be read is told by who reads on.
     let _ = fs::File::open(file).and_then(|f| f.take(Packed::HEAD_BYTES as u64).read_to_end(&mut head));

@@ -2,6 +2,7 @@
 //!
 //! The uses are those of the lexicon; `uses.tsv` has the other words people say for them.
 
+use super::cost;
 use super::tokens::{BREAK, stem};
 use super::words::{self, Meaning};
 use crate::models::attributes::Lexicon;
@@ -121,6 +122,7 @@ impl Wording {
 
     /// How well the words say it: by the needed words and the particles that are said, "drink from" as well as "drink water"; `None` when a needed word is missing.
     fn fit(&self, words: &BTreeSet<&str>, stems: &BTreeSet<String>) -> Option<usize> {
+        cost::count();
         let said = !self.needed.is_empty() && self.needed.iter().all(|stem| stems.contains(stem));
         let particles = self.particles.iter().filter(|p| words.contains(p.as_str())).count();
         (said && (particles > 0 || !self.is_light())).then(|| self.needed.len() + particles)
@@ -132,34 +134,57 @@ impl Wording {
     }
 }
 
+/// Clauses that begin like a purpose and turn out to be none, before the search ends: nobody says more.
+const MAX_ATTEMPTS: usize = 8;
+
 /// Finds the clause at the start of a query, or after clauses that name nothing: "it's getting dark, is there anything to read by".
+/// Takes time linear in the number of words.
 pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
     let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
-    let pauses = (0..words.len()).filter(|&i| words[i] == BREAK);
-    let names = |words: &[&str]| words.iter().any(|word| Lexicon::get().knows(word));
-    std::iter::once(0)
-        .chain(pauses.map(|i| i + 1))
-        .take_while(|&start| !names(&words[..start]))
-        .find_map(|start| find_at(&words, start))
+    let named = words.iter().position(|word| Lexicon::get().knows(word)).unwrap_or(words.len());
+    let pauses = (0..named).filter(|&i| words[i] == BREAK);
+    let (mut looked_at, mut attempts) = (0, 0);
+    for start in std::iter::once(0).chain(pauses.map(|i| i + 1)) {
+        // A start that an earlier one has walked over leads to the same word.
+        if start < looked_at {
+            continue;
+        }
+        match opener(&words, start) {
+            Ok(found) => {
+                looked_at = found.end;
+                if let Some(affordance) = clause_of(&words, found.end) {
+                    return Some(affordance);
+                }
+                attempts += 1;
+                if attempts == MAX_ATTEMPTS {
+                    return None;
+                }
+            }
+            Err(stopped) => looked_at = stopped + 1,
+        }
+    }
+    None
 }
 
-fn find_at(words: &[&str], mut start: usize) -> Option<Affordance> {
-    let opener = loop {
+/// The words that begin the clause at or after `start`, where only words without content may stand between; else the index of the word at
+/// which there is no such clause.
+fn opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize>, usize> {
+    loop {
         let rest = &words[start.min(words.len())..];
         if let Some(length) = OPENERS.iter().filter_map(|opener| begins(rest, opener)).max() {
-            if !names_a_purpose(rest, length) {
-                return None;
-            }
-            break length;
+            return if names_a_purpose(rest, length) { Ok(start..start + length) } else { Err(start) };
         }
         // "please bring me", "find": before the opener only words without content may stand.
         match words::longest(rest) {
             Some((Meaning::Filler | Meaning::Determiner | Meaning::And, length)) => start += length,
             _ if start > 0 && rest.first() == Some(&BREAK) => start += 1,
-            _ => return None,
+            _ => return Err(start),
         }
-    };
-    let begin = start + opener;
+    }
+}
+
+/// What the clause from `begin` on, behind its opening words, says the target is for; `None` where that is no use of the lexicon.
+fn clause_of(words: &[&str], begin: usize) -> Option<Affordance> {
     let purpose = (begin..words.len())
         .find(|&i| is_purpose(words[i]))
         .filter(|_| is_thing(words[begin - 1]))
@@ -230,8 +255,9 @@ fn is_purpose(word: &str) -> bool {
 }
 
 fn begins(words: &[&str], opener: &str) -> Option<usize> {
-    let wanted: Vec<&str> = opener.split(' ').collect();
-    words.starts_with(&wanted).then_some(wanted.len())
+    cost::count();
+    let mut said = words.iter();
+    opener.split(' ').all(|wanted| said.next() == Some(&wanted)).then(|| words.len() - said.len())
 }
 
 /// Whether the clause ends before word `i`: a pause, circumstances, or a relation to some thing.

@@ -77,8 +77,12 @@ impl Beginnings {
         let mut found = Self { at_once: true, objects: Vec::new(), others: Vec::new() };
         let mut at = affordances::find(tokens).map_or(0, |affordance| affordance.taken);
         let (mut clause, mut sentence) = (Clause { destined: is_held, ..Clause::default() }, at > 0);
+        let mut end = 0;
         while at < words.len() {
-            let run: Vec<&str> = words[at..].iter().copied().take_while(|word| *word != BREAK).collect();
+            if at >= end {
+                end = (at..words.len()).find(|&i| words[i] == BREAK).unwrap_or(words.len());
+            }
+            let run = &words[at..end];
             if run.is_empty() {
                 at += 1;
                 // How somebody stands and looks was told: the thing is still to come.
@@ -93,8 +97,8 @@ impl Beginnings {
                 continue;
             }
             clause.destined |= DESTINED.contains(&run[0]);
-            let noun = longest_noun(&run);
-            let (meaning, length) = match (noun, words::longest(&run)) {
+            let noun = longest_noun(run);
+            let (meaning, length) = match (noun, words::longest(run)) {
                 // "in that basket", but not "the basket that".
                 _ if run[0] == "that" && !clause.at_noun => (Some(Word::Determiner), 1),
                 (Some(noun), word) if word.is_none_or(|(_, length)| noun >= length) => (None, noun),

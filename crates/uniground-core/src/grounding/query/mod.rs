@@ -7,6 +7,7 @@ mod affordances;
 mod beginnings;
 mod clauses;
 mod corrections;
+mod cost;
 mod doubt;
 mod grammar;
 mod languages;

@@ -1,6 +1,6 @@
 //! Who reads queries: the built-in grammar, a chat model, or the one where the other is in doubt.
 
-use super::{ParsedQuery, parse, vlm};
+use super::{ParsedQuery, vlm};
 use crate::models::chat::{Budget, CallRecord, ChatModel, Session};
 use futures::FutureExt;
 use futures::future::BoxFuture;
@@ -39,8 +39,9 @@ const GRAMMAR: &str = "builtin-3";
 
 /// Reads queries. Never fails: what a model can not read the grammar does.
 pub trait QueryParser: Send + Sync {
-    /// Reads one query, given in plain words.
-    fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading>;
+    /// Reads one query, given in plain words. `grammar` is what the grammar has read: it computes, so the caller runs it where a thread may
+    /// be kept busy.
+    fn read<'a>(&'a self, query: &'a str, grammar: ParsedQuery) -> BoxFuture<'a, Reading>;
 }
 
 /// The grammar and lexicon.
@@ -48,8 +49,8 @@ pub trait QueryParser: Send + Sync {
 pub struct BuiltinParser;
 
 impl QueryParser for BuiltinParser {
-    fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading> {
-        std::future::ready(Reading::by_grammar(parse(query))).boxed()
+    fn read<'a>(&'a self, _: &'a str, grammar: ParsedQuery) -> BoxFuture<'a, Reading> {
+        std::future::ready(Reading::by_grammar(grammar)).boxed()
     }
 }
 
@@ -82,8 +83,8 @@ impl VlmParser {
 }
 
 impl QueryParser for VlmParser {
-    fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading> {
-        self.ask(query, parse(query)).boxed()
+    fn read<'a>(&'a self, query: &'a str, grammar: ParsedQuery) -> BoxFuture<'a, Reading> {
+        self.ask(query, grammar).boxed()
     }
 }
 
@@ -93,11 +94,10 @@ impl QueryParser for VlmParser {
 pub struct AutoParser(pub VlmParser);
 
 impl QueryParser for AutoParser {
-    fn read<'a>(&'a self, query: &'a str) -> BoxFuture<'a, Reading> {
+    fn read<'a>(&'a self, query: &'a str, grammar: ParsedQuery) -> BoxFuture<'a, Reading> {
         async move {
-            let parsed = parse(query);
-            let Some(doubt) = parsed.doubt() else { return Reading::by_grammar(parsed) };
-            let mut reading = self.0.ask(query, parsed).await;
+            let Some(doubt) = grammar.doubt() else { return Reading::by_grammar(grammar) };
+            let mut reading = self.0.ask(query, grammar).await;
             if let Some(FellBack { why, was_demanded }) = &mut reading.fell_back {
                 (*why, *was_demanded) = (format!("{doubt}; a model was to read it, but {why}"), false);
             }

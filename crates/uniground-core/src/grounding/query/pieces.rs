@@ -2,7 +2,7 @@
 
 use super::tokens::{BREAK, joined};
 use super::words::{self, Meaning};
-use super::{Measure, zones};
+use super::{Measure, cost, zones};
 use crate::models::attributes::Lexicon;
 
 /// One piece of the query.
@@ -26,25 +26,29 @@ pub(super) fn address(tokens: &[String]) -> usize {
 }
 
 pub(super) fn pieces(tokens: &[String]) -> Vec<Piece> {
+    let words: Vec<&str> = tokens.iter().map(String::as_str).collect();
     let mut pieces = Vec::new();
-    let mut at = 0;
-    while at < tokens.len() {
-        if tokens[at] == BREAK {
+    let (mut at, mut end) = (0, 0);
+    while at < words.len() {
+        if words[at] == BREAK {
             pieces.push(Piece::Break);
             at += 1;
             continue;
         }
         // Nothing in the tables spans a break.
-        let run: Vec<&str> = tokens[at..].iter().map(String::as_str).take_while(|t| *t != BREAK).collect();
-        if let [first, second, ..] = run[..]
+        if at >= end {
+            end = (at..words.len()).find(|&i| words[i] == BREAK).unwrap_or(words.len());
+        }
+        let run = &words[at..end];
+        if let [first, second, ..] = *run
             && let Some(noun) = joined(first, second)
         {
             pieces.push(Piece::Noun(noun.to_owned()));
             at += 2;
             continue;
         }
-        let noun = longest_noun(&run);
-        let word = match (run[0], words::longest(&run)) {
+        let noun = longest_noun(run);
+        let word = match (run[0], words::longest(run)) {
             // "the right monitor", "the one on the right": "right" alone before a noun tells a side, elsewhere it says "directly".
             ("left" | "right", Some((Meaning::Filler, 1)) | None) if run.len() == 1 || noun_follows(&run[1..]) => {
                 let side = if run[0] == "left" { Measure::Leftmost } else { Measure::Rightmost };
@@ -119,6 +123,7 @@ fn noun_follows(run: &[&str]) -> bool {
 pub(super) fn longest_noun(run: &[&str]) -> Option<usize> {
     let lexicon = Lexicon::get();
     let is_noun = |n: usize| {
+        cost::count();
         let candidate = run[..n].join(" ");
         let thing = (words::is_anything(&candidate) && n == 1) || structural(&candidate) || lexicon.knows(&candidate);
         thing || zones::made_of(&candidate).is_some()

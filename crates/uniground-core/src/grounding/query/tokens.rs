@@ -1,6 +1,6 @@
 //! Text to words, and misspelt words to the words that were meant.
 
-use super::words;
+use super::{cost, words};
 use crate::models::attributes::{Lexicon, WordNet};
 
 /// Stands for a comma or the end of a sentence.
@@ -34,7 +34,10 @@ pub(super) fn tokens(query: &str) -> Vec<String> {
             '\'' | '\u{2019}' => word.push('\''),
             '.' | ',' | ';' | ':' | '?' | '!' | '\n' | '(' | ')' => {
                 end(&mut word, &mut tokens);
-                tokens.push(BREAK.into());
+                // "chair?!", "...": one pause.
+                if tokens.last().is_none_or(|last| last != BREAK) {
+                    tokens.push(BREAK.into());
+                }
             }
             _ => end(&mut word, &mut tokens),
         }
@@ -60,12 +63,17 @@ pub(super) fn spelling(word: &str) -> Option<&'static str> {
     let allowed = if length >= TWO_SLIPS_FROM_CHARS { 2 } else { 1 };
     let near = |known: &'static str| {
         (known.len().abs_diff(word.len()) <= allowed && known.as_bytes()[0] == word.as_bytes()[0])
-            .then(|| (strsim::damerau_levenshtein(word, known), known))
+            .then(|| (distance(word, known), known))
             .filter(|(distance, _)| *distance <= allowed)
     };
     let mut found: Vec<(usize, &str)> = Lexicon::get().words().filter(|w| w.len() >= MIN_SLIP_CHARS - 1).filter_map(near).collect();
     found.sort_unstable();
     found.first().map(|(_, known)| *known)
+}
+
+fn distance(word: &str, known: &str) -> usize {
+    cost::count();
+    strsim::damerau_levenshtein(word, known)
 }
 
 /// The noun that a short word becomes with one letter doubled: "bal".
@@ -93,9 +101,8 @@ pub(super) fn spelling_of_small_words(word: &str) -> Option<&'static str> {
     {
         return None;
     }
-    let near = |known: &&'static str| {
-        known.len() >= MIN_SLIP_CHARS && known.as_bytes()[0] == word.as_bytes()[0] && strsim::damerau_levenshtein(word, known) == 1
-    };
+    let near =
+        |known: &&'static str| known.len() >= MIN_SLIP_CHARS && known.as_bytes()[0] == word.as_bytes()[0] && distance(word, known) == 1;
     words::small().filter(near).min()
 }
 

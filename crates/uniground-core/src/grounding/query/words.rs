@@ -1,6 +1,6 @@
 //! The words of the grammar, as tables.
 
-use super::{Look, Measure, RelationKind, Trait};
+use super::{Look, Measure, RelationKind, Trait, cost};
 use crate::geometry::colour::ColourName;
 use std::collections::HashMap;
 use std::sync::LazyLock;
@@ -124,9 +124,11 @@ impl Meaning {
 
 /// The longest run of words at the start of `words` that means something, and how many words it takes.
 pub(super) fn longest(words: &[&str]) -> Option<(Meaning, usize)> {
+    cost::count();
     let phrases = BY_FIRST_WORD.get(words.first()?)?;
     phrases
         .iter()
+        .inspect(|_| cost::count())
         .find(|(phrase, _)| words.starts_with(phrase))
         .map(|(phrase, meaning)| (*meaning, phrase.len()))
 }

@@ -6,6 +6,7 @@ mod sink;
 use super::{IngestError, sens};
 use camino::Utf8Path;
 use entries::walk;
+use serde::{Deserialize, Serialize};
 use sink::{Sink, Survey};
 
 /// Container of a scan's files.
@@ -64,7 +65,7 @@ impl ArchiveKind {
 }
 
 /// Bounds on what an archive may unpack to.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Serialize, Deserialize)]
 pub struct UnpackLimits {
     /// Number of entries: files, folders and whatever else stands in it.
     pub max_entries: usize,

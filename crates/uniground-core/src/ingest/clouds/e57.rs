@@ -6,11 +6,15 @@ use crate::ingest::IngestError;
 use ::e57::{CartesianCoordinate, E57Reader};
 use camino::Utf8Path;
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Read, Seek};
 use std::panic::AssertUnwindSafe;
 
 /// A point takes at least this much room: with fewer, a count is a lie.
 const LEAST_BYTES_PER_POINT: u64 = 2;
+/// The XML that describes a file becomes a tree of many times its size. That of a campaign with a thousand scans has two megabytes.
+const MAX_XML_BYTES: u64 = 8 << 20;
+/// Where the header tells its length (ASTM E2807, table 1).
+const XML_LENGTH_AT: usize = 32;
 
 pub(super) fn check(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(), IngestError> {
     guarded(file, AssertUnwindSafe(|| open(root, file, bounds).map(drop)))
@@ -42,9 +46,18 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
 }
 
 fn open(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<(E57Reader<BufReader<File>>, u64), IngestError> {
-    let source = File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let mut source = File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let mut header = [0; XML_LENGTH_AT + 8];
+    source
+        .read_exact(&mut header)
+        .and_then(|()| source.rewind())
+        .map_err(|source| IngestError::reading(file, source))?;
+    let xml_bytes = u64::from_le_bytes(std::array::from_fn(|i| header[XML_LENGTH_AT + i]));
     let bytes = source.metadata().map_or(0, |m| m.len());
     let malformed = |reason: String| IngestError::malformed(file, reason);
+    if xml_bytes > MAX_XML_BYTES {
+        return Err(malformed(format!("its description has {xml_bytes} bytes, at most {MAX_XML_BYTES} are read")));
+    }
     let reader = E57Reader::new(BufReader::new(source)).map_err(|e| malformed(format!("not an E57 file: {e}")))?;
     let points = reader.pointclouds().iter().fold(0_u64, |sum, cloud| sum.saturating_add(cloud.records));
     bounds.check(file, points)?;

@@ -10,10 +10,11 @@ use super::texture::Texture;
 use crate::ingest::IngestError;
 use crate::ingest::bounded::read_text;
 use camino::Utf8Path;
-use document::{Buffers, Document, Primitive};
+use document::{Buffers, Document, Primitive, Rows};
 use nalgebra::{Matrix4, Quaternion, UnitQuaternion};
 use std::fs::File;
-use std::io::Read;
+use std::io::{self, Read, Seek, SeekFrom};
+use std::ops::Range;
 
 const MAX_JSON_BYTES: u64 = 64 << 20;
 const MAX_FILE_BYTES: u64 = 2 << 30;
@@ -34,7 +35,8 @@ pub(super) fn check(root: &Utf8Path, file: &Utf8Path) -> Result<(), IngestError>
 
 pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> Result<Gathered, IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
-    let (document, blob) = open(root, file)?;
+    let (document, binary) = open(root, file)?;
+    let blob = binary.map(|part| part_of(root, file, part)).transpose()?;
     let buffers = Buffers::load(&document, blob, root, file)?;
     let mut mesh = Mesh::default();
     let mut textures: Vec<Option<u32>> = vec![None; document.textures.len()];
@@ -53,59 +55,71 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
         for primitive in &parts.primitives {
             let texture = texture_of(&document, &buffers, primitive, &mut textures, &mut mesh).map_err(malformed)?;
             add(&buffers, primitive, &document, &to_world, texture, &mut mesh).map_err(malformed)?;
-            if mesh.triangles.len() > MAX_ELEMENTS || mesh.points.len() > MAX_ELEMENTS {
-                return Err(malformed(format!("more than {MAX_ELEMENTS} faces: simplify it first")));
-            }
         }
     }
     mesh.sample(file, 1.0, &mut gathered)?;
     Ok(gathered)
 }
 
-/// The description, and the binary part of a GLB.
-fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, Option<Vec<u8>>), IngestError> {
+/// The description; of a GLB also where its binary part lies.
+fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, Option<Range<u64>>), IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
-    let path = root.join(file);
-    let mut source = File::open(&path).map_err(|source| IngestError::reading(file, source))?;
-    let bytes = source.metadata().map_or(0, |m| m.len());
+    let reading = |source| IngestError::reading(file, source);
+    let mut source = File::open(root.join(file)).map_err(reading)?;
+    let bytes = source.metadata().map_err(reading)?.len();
     if bytes > MAX_FILE_BYTES {
         return Err(malformed(format!("it is larger than {} GiB", MAX_FILE_BYTES >> 30)));
     }
     let mut magic = [0; 4];
-    let (text, blob) = match source.read_exact(&mut magic) {
-        Ok(()) if &magic == b"glTF" => {
-            let mut rest = Vec::new();
-            source.read_to_end(&mut rest).map_err(|source| IngestError::reading(file, source))?;
-            chunks(&rest).ok_or_else(|| malformed("not a whole GLB file of version 2".into()))?
-        }
+    let (text, binary) = match source.read_exact(&mut magic) {
+        Ok(()) if &magic == b"glTF" => chunks(&mut source, bytes)
+            .map_err(reading)?
+            .ok_or_else(|| malformed("not a whole GLB file of version 2".into()))?,
         _ => (read_text(root, file, MAX_JSON_BYTES)?.into_bytes(), None),
     };
     let document: Document = serde_json::from_slice(&text).map_err(|e| malformed(e.to_string()))?;
     if let Some(strange) = document.extensions_required.iter().find(|e| !KNOWN_EXTENSIONS.contains(&e.as_str())) {
         return Err(malformed(format!("it needs {strange}, which is not read: export it without compression")));
     }
-    Ok((document, blob))
+    Ok((document, binary))
 }
 
-/// The JSON and the binary chunk of what follows a GLB's magic.
-fn chunks(rest: &[u8]) -> Option<(Vec<u8>, Option<Vec<u8>>)> {
-    let word = |at: usize| rest.get(at..at + 4).map(|b| u32::from_le_bytes(std::array::from_fn(|i| b[i])));
-    if word(0)? != 2 {
-        return None;
+/// The JSON of a GLB of so many bytes, which is read up to its magic, and where its binary chunk lies. Lengths are held against the file
+/// before anything is read. `None`: not a whole file.
+fn chunks(source: &mut File, bytes: u64) -> io::Result<Option<(Vec<u8>, Option<Range<u64>>)>> {
+    let mut head = [0; 16];
+    source.read_exact(&mut head)?;
+    let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| head[at + i]));
+    let (json_start, json_bytes) = (20, u64::from(word(8)));
+    let is_json = word(0) == 2 && word(12) == u32::from_le_bytes(*b"JSON");
+    if !is_json || json_bytes > MAX_JSON_BYTES || json_start + json_bytes > bytes {
+        return Ok(None);
     }
-    let json_bytes = word(8)? as usize;
-    if word(12)? != u32::from_le_bytes(*b"JSON") || json_bytes as u64 > MAX_JSON_BYTES {
-        return None;
+    let mut json = vec![0; json_bytes as usize];
+    source.read_exact(&mut json)?;
+    let start = json_start + json_bytes + 8;
+    if start > bytes {
+        return Ok(Some((json, None)));
     }
-    let json = rest.get(16..16_usize.checked_add(json_bytes)?)?.to_vec();
-    let next = 16 + json_bytes;
-    let blob = match (word(next), word(next + 4)) {
-        (Some(bytes), Some(kind)) if kind == u32::from_le_bytes(*b"BIN\0") => {
-            Some(rest.get(next + 8..(next + 8).checked_add(bytes as usize)?)?.to_vec())
-        }
-        _ => None,
+    let mut head = [0; 8];
+    source.read_exact(&mut head)?;
+    let end = start + u64::from(u32::from_le_bytes([head[0], head[1], head[2], head[3]]));
+    match head[4..] == *b"BIN\0" {
+        true if end > bytes => Ok(None),
+        is_binary => Ok(Some((json, is_binary.then_some(start..end)))),
+    }
+}
+
+/// A part of a file that is there.
+fn part_of(root: &Utf8Path, file: &Utf8Path, part: Range<u64>) -> Result<Vec<u8>, IngestError> {
+    let read = || {
+        let mut source = File::open(root.join(file))?;
+        source.seek(SeekFrom::Start(part.start))?;
+        let mut bytes = vec![0; usize::try_from(part.end - part.start).map_err(io::Error::other)?];
+        source.read_exact(&mut bytes)?;
+        Ok(bytes)
     };
-    Some((json, blob))
+    read().map_err(|source| IngestError::reading(file, source))
 }
 
 impl document::Node {
@@ -169,28 +183,29 @@ fn add(
         let uv = places.as_ref().and_then(|places| places.get(i)).map(|uv| [uv[0] as f32, uv[1] as f32]);
         Ok(Corner { at: [p.x, p.y, p.z], tint, uv })
     };
-    let indices: Box<dyn Iterator<Item = usize>> = match primitive.indices {
-        Some(indices) => Box::new(
-            buffers
-                .accessor(document, indices, 1)?
-                .rows()
-                .map(|i| i[0] as usize)
-                .collect::<Vec<_>>()
-                .into_iter(),
-        ),
-        None => Box::new(0..positions.len()),
+    let indices = primitive.indices.map(|indices| buffers.accessor(document, indices, 1)).transpose()?;
+    let count = indices.as_ref().map_or(positions.len(), Rows::len);
+    let vertex = |i: usize| match &indices {
+        Some(indices) => indices.get(i).map_or(usize::MAX, |index| index[0] as usize),
+        None => i,
     };
+    // Before there is memory for them.
+    let elements = if mode == TRIANGLES { mesh.triangles.len() + count / 3 } else { mesh.points.len() + count };
+    if elements > MAX_ELEMENTS {
+        return Err(format!("more than {MAX_ELEMENTS} faces or points: simplify it first"));
+    }
     match mode {
         TRIANGLES => {
-            let all: Vec<usize> = indices.collect();
-            for [a, b, c] in all.as_chunks::<3>().0 {
-                mesh.triangles.push(Triangle { corners: [corner(*a)?, corner(*b)?, corner(*c)?], texture });
+            mesh.triangles.reserve_exact(count / 3);
+            for first in (0..count / 3).map(|triangle| 3 * triangle) {
+                let [a, b, c] = [first, first + 1, first + 2].map(vertex);
+                mesh.triangles.push(Triangle { corners: [corner(a)?, corner(b)?, corner(c)?], texture });
             }
         }
         POINTS => {
             let coloured = colours.is_some();
-            for i in indices {
-                let corner = corner(i)?;
+            for i in 0..count {
+                let corner = corner(vertex(i))?;
                 mesh.points.push((corner.at, coloured.then(|| corner.tint.map(|c| (c * 255.0).round() as u8))));
             }
         }

@@ -1,6 +1,7 @@
 //! LAS and LAZ: surveyors' clouds, with Z up and often in map coordinates. LAZ is unpacked by the `las` crate; the records of LAS are read
 //! here, five times as fast.
 
+mod lengths;
 mod records;
 
 use super::gathered::{Bounds, GREY};
@@ -8,7 +9,7 @@ use super::{Gathered, guarded};
 use crate::ingest::IngestError;
 use camino::Utf8Path;
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Seek};
 use std::panic::AssertUnwindSafe;
 
 /// LAZ stores a point in a byte or two at best; a count far beyond that is a lie.
@@ -63,9 +64,12 @@ fn recolour(gathered: &mut Gathered, wide: &[[u16; 3]]) {
 }
 
 fn open(root: &Utf8Path, file: &Utf8Path, bounds: &Bounds) -> Result<las::Reader, IngestError> {
-    let source = File::open(root.join(file)).map_err(|source| IngestError::reading(file, source))?;
+    let reading = |source| IngestError::reading(file, source);
+    let mut source = File::open(root.join(file)).map_err(reading)?;
     let bytes = source.metadata().map_or(0, |m| m.len());
     let malformed = |reason: String| IngestError::malformed(file, reason);
+    lengths::check(&mut source).map_err(reading)?.map_err(|reason| malformed(reason.into()))?;
+    source.rewind().map_err(reading)?;
     let reader = las::Reader::new(BufReader::new(source)).map_err(|e| malformed(format!("not a LAS file: {e}")))?;
     let points = reader.header().number_of_points();
     bounds.check(file, points)?;

@@ -244,10 +244,6 @@ impl Rows<'_> {
         (row < self.count).then(|| self.row(row))
     }
 
-    pub fn rows(&self) -> impl Iterator<Item = [f64; 3]> + '_ {
-        (0..self.count).map(|row| self.row(row))
-    }
-
     fn row(&self, row: usize) -> [f64; 3] {
         std::array::from_fn(|column| if column < self.columns { self.number(row, column) } else { 0.0 })
     }

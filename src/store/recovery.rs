@@ -1,0 +1,65 @@
+//! Recovery at start: clears what an interrupted run left behind.
+//!
+//! Every step stands for itself. A step that fails is logged and its rows and files are kept, so that recovery never keeps a server from
+//! starting.
+
+use super::growth::OUTGROWN;
+use super::{Store, StoreError};
+use sqlx::AssertSqlSafe;
+use std::time::Duration;
+
+/// Files younger than this may belong to a process that is still at work.
+const IN_USE: Duration = Duration::from_hours(24);
+
+impl Store {
+    /// Clears what an interrupted run left, while no other process uses the store: unused rows, folders without rows, unfinished uploads.
+    pub(super) async fn recover(&self) {
+        self.end_interrupted_work().await;
+        logged("remove unused parses and scans", self.remove_unused_rows().await);
+        logged("move unreferenced folders to the quarantine", self.sweep(Duration::ZERO).await);
+        logged("remove files of unfinished uploads", self.remove_stray_uploads().await);
+        logged("remove temporary files", self.remove_temporary(Duration::ZERO));
+    }
+
+    /// Clears what crashed processes have left, while others use the store.
+    pub async fn recover_beside_others(&self) {
+        self.end_interrupted_work().await;
+        logged("remove files of unfinished uploads", self.remove_stray_uploads().await);
+        logged("remove temporary files", self.remove_temporary(IN_USE));
+    }
+
+    /// Ends what crashed processes were in the middle of: batches being received, and money reserved for calls of a model.
+    pub(super) async fn end_interrupted_work(&self) {
+        logged("remove batches that were not received completely", self.forget_half_received_batches().await);
+        logged("settle reserved spending", self.settle_what_was_left().await);
+    }
+
+    fn remove_temporary(&self, age: Duration) -> Result<(), StoreError> {
+        let left_behind = self.blobs.left_behind(age)?;
+        self.blobs.remove_later(left_behind);
+        Ok(())
+    }
+
+    /// Removes parses and scans that no scene and no answer refers to, all of them or none: the loser of two uploads under one idempotency
+    /// key, the parse that a scene had before it grew.
+    async fn remove_unused_rows(&self) -> Result<(), StoreError> {
+        let mut tx = self.writer.begin().await?;
+        // A scene that has grown names the parse of its earlier content until the new one is finished.
+        let parses = "DELETE FROM parses
+                      WHERE NOT EXISTS (SELECT 1 FROM scenes WHERE scenes.content_hash = parses.content_hash OR scenes.parse_id = parses.id)
+                      AND NOT EXISTS (SELECT 1 FROM answers WHERE answers.parse_id = parses.id)";
+        sqlx::query(parses).execute(&mut *tx).await?;
+        let unused = format!("SELECT hash FROM contents WHERE {OUTGROWN}");
+        let unused: Vec<String> = sqlx::query_scalar(AssertSqlSafe(unused)).fetch_all(&mut *tx).await?;
+        for hash in unused {
+            self.remove_outgrown_row(&mut tx, &hash).await?;
+        }
+        tx.commit().await
+    }
+}
+
+fn logged<T>(step: &'static str, outcome: Result<T, StoreError>) {
+    if let Err(error) = outcome {
+        tracing::error!(step, error = &error as &dyn std::error::Error, "recovery step failed; its rows and files are kept");
+    }
+}

@@ -1,0 +1,100 @@
+//! Foreign keys of SQLite's database: which rows refer to rows that do not exist, and their repair. PostgreSQL enforces its own.
+
+use super::database::Engine;
+use super::writer::Transaction;
+use super::{Store, StoreError};
+use sqlx::AssertSqlSafe;
+
+/// Rows of a table that refer to rows which do not exist.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct BrokenReference {
+    pub table: String,
+    /// The referring column.
+    pub column: String,
+    /// The table it refers to.
+    pub parent: String,
+    /// Key of the parent table that the column holds.
+    parent_key: String,
+    /// The column may be NULL: repair clears it. Otherwise repair removes the rows.
+    pub is_optional: bool,
+    pub rows: u64,
+}
+
+/// Removing a row may leave other rows without theirs: one round for each table of the longest chain is more than enough.
+const MAX_ROUNDS: usize = 8;
+
+impl Store {
+    /// Foreign keys that point to rows which do not exist; none where the database is whole.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn broken_references(&self) -> Result<Vec<BrokenReference>, StoreError> {
+        if self.engine == Engine::Postgres {
+            return Ok(Vec::new());
+        }
+        let mut tx = self.writer.begin().await?;
+        let broken = broken_in(&mut tx).await?;
+        tx.forget().await?;
+        Ok(broken)
+    }
+
+    /// Clears optional references to rows that do not exist and removes rows whose required reference is broken, in one transaction.
+    /// Returns the scenes that lost their parse.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`]; then nothing has changed.
+    pub async fn repair_references(&self) -> Result<Vec<String>, StoreError> {
+        if self.engine == Engine::Postgres {
+            return Ok(Vec::new());
+        }
+        let mut tx = self.writer.begin().await?;
+        let unparsed = "SELECT id FROM scenes WHERE parse_id IS NOT NULL AND NOT EXISTS (SELECT 1 FROM parses WHERE id = scenes.parse_id)
+                        AND EXISTS (SELECT 1 FROM contents WHERE hash = scenes.content_hash)";
+        let unparsed: Vec<String> = sqlx::query_scalar(unparsed).fetch_all(&mut *tx).await?;
+        // The statements themselves leave rows without theirs for a while: the references hold again at the commit.
+        sqlx::query("PRAGMA defer_foreign_keys = ON").execute(&mut *tx).await?;
+        for _ in 0..MAX_ROUNDS {
+            let broken = broken_in(&mut tx).await?;
+            if broken.is_empty() {
+                break;
+            }
+            for reference in broken {
+                sqlx::query(AssertSqlSafe(reference.repair())).execute(&mut *tx).await?;
+            }
+        }
+        tx.commit().await?;
+        Ok(unparsed)
+    }
+}
+
+impl BrokenReference {
+    /// Names come from the schema, not from anybody's input.
+    fn repair(&self) -> String {
+        let Self { table, column, parent, parent_key, is_optional, .. } = self;
+        let broken = format!(
+            "\"{column}\" IS NOT NULL AND NOT EXISTS (SELECT 1 FROM \"{parent}\" AS parent WHERE parent.\"{parent_key}\" = \"{table}\".\"{column}\")"
+        );
+        match is_optional {
+            true => format!("UPDATE \"{table}\" SET \"{column}\" = NULL WHERE {broken}"),
+            false => format!("DELETE FROM \"{table}\" WHERE {broken}"),
+        }
+    }
+}
+
+async fn broken_in(tx: &mut Transaction) -> Result<Vec<BrokenReference>, StoreError> {
+    let sql = "SELECT violated.\"table\", key.\"from\", violated.parent, coalesce(key.\"to\", key.\"from\"), col.\"notnull\" = 0, count(*)
+               FROM pragma_foreign_key_check AS violated
+               JOIN pragma_foreign_key_list(violated.\"table\") AS key ON key.id = violated.fkid
+               JOIN pragma_table_info(violated.\"table\") AS col ON col.name = key.\"from\"
+               GROUP BY 1, 2, 3, 4, 5 ORDER BY 1, 2";
+    let rows: Vec<(String, String, String, String, bool, i64)> = sqlx::query_as(sql).fetch_all(&mut **tx).await?;
+    let broken = |(table, column, parent, parent_key, is_optional, rows)| BrokenReference {
+        table,
+        column,
+        parent,
+        parent_key,
+        is_optional,
+        rows: u64::try_from(rows).unwrap_or(0),
+    };
+    Ok(rows.into_iter().map(broken).collect())
+}

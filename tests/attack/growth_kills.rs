@@ -1,0 +1,150 @@
+//! Kills while scenes grow, batches come in and uploads arrive in parts: every start succeeds, and what was acknowledged is there.
+
+use crate::archives::{Scan, THINGS};
+use crate::hostile::ZIP;
+use crate::server::{Process, ask, finished, parsed};
+use crate::{Form, Report, since};
+use camino::Utf8Path;
+use reqwest::Method;
+use serde_json::json;
+use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
+use uniground_client::Client;
+use uniground_types::job::JobState;
+use uniground_types::placement::FrameChoice;
+
+/// Where cameras stand around the room, as shares of a turn.
+const AROUND: [f32; 4] = [0.0, 0.25, 0.5, 0.75];
+
+/// What was acknowledged.
+#[derive(Default)]
+struct Acknowledged {
+    scenes: BTreeSet<String>,
+    batches: BTreeSet<String>,
+    jobs: BTreeSet<String>,
+    /// Frames that were added to the scene that grows.
+    additions: usize,
+}
+
+/// Small frames of the room, other ones for each number.
+fn frames(number: usize) -> Scan {
+    Scan::of_room(&THINGS, &AROUND.map(|turn| turn + 0.01 * number as f32)).with("note.txt", format!("{number}"))
+}
+
+pub async fn run(form: Form, report: &mut Report) {
+    not_asked(report).await;
+    let kills = form.of(6, 100);
+    let data = tempfile::tempdir().unwrap();
+    let folder = Utf8Path::from_path(data.path()).unwrap();
+    let start = Instant::now();
+    let first = Process::start(folder);
+    let growing = parsed(&first.client, ZIP, frames(0).zip()).await.id;
+    first.kill();
+    let mut known = Acknowledged::default();
+    for kill in 0..kills {
+        // A start that fails panics here: that is the drill.
+        let process = Process::start(folder);
+        let work = tokio::spawn(at_work(process.client.clone(), growing.clone(), kill));
+        tokio::time::sleep(Duration::from_millis(80 + (kill as u64 * 331) % 1400)).await;
+        process.kill();
+        let Acknowledged { scenes, batches, jobs, additions } = work.await.unwrap();
+        known.scenes.extend(scenes);
+        known.batches.extend(batches);
+        known.jobs.extend(jobs);
+        known.additions += additions;
+    }
+    let process = Process::start(folder);
+    let client = &process.client;
+    let mut lost = 0;
+    for id in &known.scenes {
+        lost += usize::from(client.scene(id).await.is_err());
+    }
+    for id in &known.batches {
+        lost += usize::from(client.batch(id).await.is_err());
+    }
+    let mut failed = 0;
+    for id in &known.jobs {
+        failed += usize::from(!matches!(finished(client, id).await.state, JobState::Succeeded | JobState::Cancelled));
+    }
+    let grown = client.scene(&growing).await.unwrap();
+    let parts = grown.import.map_or(0, |import| import.frames as usize / AROUND.len());
+    let answered = client.ground(&growing, &ask("the red sofa")).await.is_ok();
+    process.terminate();
+    let doctor = doctor(folder);
+    let answer = format!("{} scenes, {} batches, {} additions", known.scenes.len(), known.batches.len(), known.additions);
+    let left = format!("lost {lost}, failed {failed}, parts {parts}, doctor: {}", doctor.lines().last().unwrap_or_default());
+    let whole = doctor.contains("is whole");
+    let held = lost == 0 && failed == 0 && answered && whole && parts > known.additions && known.additions > 0;
+    report.row(&format!("1 {kills} kills of growth, batches, uploads in parts"), &answer, since(start), None, &left, held);
+}
+
+/// A scene that nobody has asked anything, stopped while its growth waits or runs: the next start keeps its parse.
+async fn not_asked(report: &mut Report) {
+    for (case, stop) in [("SIGKILL", Process::kill as fn(Process)), ("SIGTERM", |process: Process| drop(process.terminate()))] {
+        let start = Instant::now();
+        let data = tempfile::tempdir().unwrap();
+        let folder = Utf8Path::from_path(data.path()).unwrap();
+        let process = Process::start(folder);
+        let scene = parsed(&process.client, ZIP, frames(0).zip()).await;
+        // Another parse in front: the growth waits in the queue.
+        process.client.create_scene(None, ZIP, Scan::neutral().zip()).await.unwrap();
+        let created = process.client.add_frames(&scene.id, FrameChoice::Source, frames(1).zip()).await.unwrap();
+        stop(process);
+        let process = Process::start(folder);
+        let job = finished(&process.client, &created.job.unwrap().id).await;
+        let answered = process.client.ground(&scene.id, &ask("the red sofa")).await.is_ok();
+        process.terminate();
+        let whole = doctor(folder).contains("is whole");
+        let held = job.state == JobState::Succeeded && answered && whole;
+        report.row(&format!("1 {case} before growth ends, never asked"), "starts, grows", since(start), None, "all of it", held);
+    }
+}
+
+fn doctor(folder: &Utf8Path) -> String {
+    let output = std::process::Command::new(env!("CARGO_BIN_EXE_uniground"))
+        .args(["doctor", "--data-dir", folder.as_str()])
+        .output()
+        .unwrap();
+    String::from_utf8_lossy(&output.stdout).into_owned()
+}
+
+/// Everything at once, until the server is gone.
+async fn at_work(client: Client, growing: String, kill: usize) -> Acknowledged {
+    let mut known = Acknowledged::default();
+    let batch = serde_json::from_value(json!({"items": vec![json!({"scene_id": growing, "query": "the red sofa"}); 30]})).unwrap();
+    if let Ok(batch) = client.create_batch(&batch, Some(&format!("batch {kill}"))).await {
+        known.batches.insert(batch.id);
+    }
+    // Half an upload in parts, which the next server keeps, and a whole one.
+    let scan = Scan::neutral().with("note.txt", format!("in parts {kill}")).zip();
+    for end in [scan.len() / 2, scan.len()] {
+        let Some(location) = begin(&client, scan.len()).await else { return known };
+        let part = client
+            .request(Method::PATCH, location.trim_start_matches('/'))
+            .header("tus-resumable", "1.0.0")
+            .header("content-type", "application/offset+octet-stream")
+            .header("upload-offset", "0");
+        if part.body(scan[..end].to_vec()).send().await.is_err() {
+            return known;
+        }
+    }
+    let Ok(created) = client.add_frames(&growing, FrameChoice::Source, frames(1 + kill).zip()).await else { return known };
+    known.additions += 1;
+    known.jobs.extend(created.job.map(|job| job.id));
+    for number in 0..20 {
+        let archive = Scan::neutral().with("note.txt", format!("{kill} {number}")).zip();
+        let Ok(created) = client.create_scene(None, ZIP, archive).await else { return known };
+        known.scenes.insert(created.scene.id);
+        known.jobs.extend(created.job.map(|job| job.id));
+    }
+    known
+}
+
+async fn begin(client: &Client, length: usize) -> Option<String> {
+    let made = client
+        .request(Method::POST, "v1/uploads")
+        .header("tus-resumable", "1.0.0")
+        .header("upload-length", length.to_string())
+        .send();
+    Some(made.await.ok()?.headers().get("location")?.to_str().ok()?.to_owned())
+}
