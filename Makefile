@@ -2,7 +2,7 @@
 CARGO ?= cargo
 PYTHON ?= python3
 
-.PHONY: web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers
+.PHONY: web web-check web-test demo serve test models test-postgres test-vectors test-objects test-deploy test-cluster test-models lint deny fmt book fuzz attack soak bench bench-quality quality bench-superpoints bench-peers bench-scale bench-language bench-programs bench-approach bench-vlm bench-pointed bench-http openapi test-mcp test-tus test-openapi python-client test-python schemathesis clean bench-readers bench-isolation
 
 demo: ## Upload the sample scan to a fresh service, ask four questions, write pictures to demo-out/
 	$(CARGO) build --release --locked
@@ -112,6 +112,9 @@ bench-approach: ## A place to stand, and the graph of a scene, in halls of five 
 
 bench-readers: ## Clouds of ten million points, checks and imports of thousands of frames (16 GB of disk; MB=1000 for less)
 	$(CARGO) bench --locked --quiet --bench readers
+
+bench-isolation: ## Reading uploads in child processes beside the same within one (SCANS="a.zip b.zip")
+	$(CARGO) bench --locked --quiet --bench isolation -- $(SCANS)
 
 bench-vlm: ## What a vision-language model is shown, what that costs in time and tokens, without a model
 	$(CARGO) bench --locked --quiet --bench vlm

@@ -36,6 +36,7 @@ mod worker;
 
 use crate::config::{ServeConfig, WorkerConfig};
 use crate::isolation;
+use crate::telemetry;
 use clap::error::ErrorKind;
 use clap::{CommandFactory, Parser, Subcommand};
 
@@ -136,7 +137,10 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
         Command::Openapi => openapi::run(),
         Command::Completions(args) => completions::run(args),
         Command::Man(args) => man::run(args),
-        Command::IsolatedReader => Ok(isolation::run()?),
+        Command::IsolatedReader => {
+            telemetry::start_quiet();
+            Ok(isolation::run()?)
+        }
     }
 }
 

@@ -23,7 +23,7 @@ const STDERR_BYTES: usize = 4 << 10;
 /// The longest message of a child.
 const MAX_MESSAGE_BYTES: u64 = 1 << 20;
 /// Of the environment a child has these variables and no others: secrets are not for it.
-const ENVIRONMENT: [&str; 4] = ["LD_LIBRARY_PATH", "PATH", "TMPDIR", "RUST_BACKTRACE"];
+const ENVIRONMENT: [&str; 3] = ["LD_LIBRARY_PATH", "PATH", "TMPDIR"];
 /// Stages that a child reports, as jobs name them.
 const STAGES: [&str; 6] = ["import", "check_reprojection", "levelling", "fuse_cloud", "look_through", "check_pictures"];
 const SIGKILL: i32 = 9;
@@ -80,10 +80,11 @@ impl ChildProcess {
 
 /// The program that runs. On Linux also after its file was replaced by a newer one.
 fn this_program() -> PathBuf {
-    #[cfg(target_os = "linux")]
-    return PathBuf::from("/proc/self/exe");
-    #[cfg(not(target_os = "linux"))]
-    std::env::current_exe().unwrap_or_else(|_| PathBuf::from("uniground"))
+    let of_process = PathBuf::from("/proc/self/exe");
+    match of_process.exists() {
+        true => of_process,
+        false => std::env::current_exe().unwrap_or_else(|_| PathBuf::from("uniground")),
+    }
 }
 
 /// CPU time of all threads together that so much time has room for.
@@ -190,7 +191,12 @@ fn outcome(ended: Ended, task: &Task, memory_bytes: u64, time_limit: Duration) -
     let too_costly = |limit: String| Err(IngestError::TooCostly { file: file.clone(), limit }.into());
     let out_of_time = stopped == Some(Stopped::TooLate) || status.signal() == Some(SIGXCPU);
     match last {
-        Some(told) if status.success() => return told,
+        Some(told) if status.success() => {
+            if !stderr.trim().is_empty() {
+                tracing::warn!(stderr = stderr.trim(), "the process that read a scan reports problems");
+            }
+            return told;
+        }
         _ if out_of_time => return too_costly(format!("{} s", time_limit.as_secs())),
         // A clean exit without an outcome, or what the system has killed: nobody's file is at fault.
         _ if status.signal() == Some(SIGKILL) => return Err(ReadError::Killed),

@@ -88,7 +88,7 @@ impl ScanReader {
         spawn_blocking(run).await.map_err(io::Error::other)?
     }
 
-    /// Runs an import; blocks.
+    /// Runs a task with all of the memory, as imports are; blocks.
     ///
     /// # Errors
     /// [`ReadError`], also when it was cancelled.

@@ -119,16 +119,18 @@ impl ImportedScan {
         Self { stages, ..self }
     }
 
-    /// Decodes every picture of the scan once and lets go of it. Pictures that are damaged are no error: stage 1 names those it meets. Whoever
-    /// runs this where a fault does no harm knows that none of them crashes its decoder or takes too much memory.
+    /// Decodes every picture that the import has not decoded and lets go of it. Pictures that are damaged are no error: stage 1 names those it
+    /// meets. Run where a fault does no harm, this shows that none of them crashes its decoder or takes too much memory.
     ///
     /// # Errors
     /// [`ScanError::Ingest`] when the work was cancelled.
     pub fn try_pictures(&self, progress: &Progress) -> Result<(), ScanError> {
-        let (_, frames) = self.bundle.in_all();
+        let SceneBundle { frames, report, .. } = &self.bundle;
+        // Without a cloud of its own the scan was fused from all its frames, and so was what was added.
+        let frames = if report.cloud_points.is_some() { &frames[..] } else { &[] };
         let all = frames.len().max(1) as f32;
         stream_frames(
-            &frames,
+            frames,
             |frame| {
                 progress.check()?;
                 drop((frame.decode_colour(), frame.decode_depth()));
