@@ -171,7 +171,7 @@ pub(super) fn find(tokens: &[String]) -> Option<Affordance> {
 fn opener(words: &[&str], mut start: usize) -> Result<std::ops::Range<usize>, usize> {
     loop {
         let rest = &words[start.min(words.len())..];
-        if let Some(length) = OPENERS.iter().filter_map(|opener| begins(rest, opener)).max() {
+        if let Some(length) = opener_at(rest) {
             return if names_a_purpose(rest, length) { Ok(start..start + length) } else { Err(start) };
         }
         // "please bring me", "find": before the opener only words without content may stand.
@@ -252,6 +252,22 @@ fn is_thing(word: &str) -> bool {
 
 fn is_purpose(word: &str) -> bool {
     matches!(word, "to" | "that" | "which" | "for" | "i" | "you" | "we" | "used" | "with")
+}
+
+/// How many words of the longest opener the words begin with.
+fn opener_at(words: &[&str]) -> Option<usize> {
+    /// Openers by their first word: most words begin none.
+    static BY_FIRST_WORD: LazyLock<HashMap<&str, Vec<&str>>> = LazyLock::new(|| {
+        let mut openers: HashMap<&str, Vec<&str>> = HashMap::new();
+        for &opener in OPENERS {
+            let first = opener.split(' ').next().unwrap_or(opener);
+            openers.entry(first).or_default().push(opener);
+        }
+        openers
+    });
+    cost::count();
+    let openers = BY_FIRST_WORD.get(words.first()?)?;
+    openers.iter().filter_map(|opener| begins(words, opener)).max()
 }
 
 fn begins(words: &[&str], opener: &str) -> Option<usize> {
