@@ -215,6 +215,7 @@ async fn frames_of_another_place_or_none_are_refused_and_nothing_changes() {
         (Scan::frames_only().without("intrinsic.txt").zip(), "intrinsics_missing"),
         (b"no archive".to_vec(), "archive_unreadable"),
     ] {
+        (Scan::frames_only().with("grown.json", "{}").zip(), "archive_entry_unsafe"),
         let refused = problem(client.add_frames(&scene.id, FrameChoice::Source, frames).await);
         assert_eq!((refused.code.as_str(), refused.status), (code, 422), "{refused:?}");
     }
