@@ -6,13 +6,9 @@ use axum::extract::{FromRequest, FromRequestParts, Request};
 use axum::http::request::Parts;
 use axum::http::{StatusCode, header};
 use serde::de::DeserializeOwned;
-use std::time::Duration;
-use tokio::time::timeout;
 
 /// Largest JSON body read.
 const MAX_JSON_BYTES: usize = 1 << 20;
-/// Longest a JSON body is waited for.
-const JSON_TIME: Duration = Duration::from_secs(20);
 
 /// A JSON body.
 pub struct Json<T>(pub T);
@@ -27,11 +23,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
             let detail = format!("the body must be application/json, not {essence:?}");
             return Err(Refused::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail));
         }
-        let bytes = timeout(JSON_TIME, to_bytes(request.into_body(), MAX_JSON_BYTES)).await.map_err(|_| {
-            let detail = format!("a JSON body is sent within {} s", JSON_TIME.as_secs());
-            Refused::new(StatusCode::REQUEST_TIMEOUT, "body_too_slow", detail)
-        })?;
-        let bytes = bytes.map_err(|_| {
+        let bytes = to_bytes(request.into_body(), MAX_JSON_BYTES).await.map_err(|_| {
             Refused::new(StatusCode::PAYLOAD_TOO_LARGE, "body_too_large", format!("a JSON body has at most {MAX_JSON_BYTES} bytes"))
         })?;
         if holds_nul(&bytes) {

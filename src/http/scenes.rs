@@ -19,8 +19,6 @@ use multer::{Field, Multipart, parse_boundary};
 use serde::Deserialize;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
-use tokio::time::timeout;
 use uniground_core::models::with_causes;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::labels::read_labels;
@@ -139,7 +137,6 @@ pub async fn import(
 
 /// Bytes of a form before its file, and how long they may take.
 const BEFORE_FILE_BYTES: usize = 64 << 10;
-const BEFORE_FILE_TIME: Duration = Duration::from_secs(20);
 
 /// The first file of a form: what it is called, and its bytes.
 pub(super) async fn file_of_form(body: BodyDataStream, boundary: String) -> Result<(Option<String>, Field<'static>), Refused> {
@@ -156,19 +153,13 @@ pub(super) async fn file_of_form(body: BodyDataStream, boundary: String) -> Resu
         Ok(chunk)
     });
     let mut form = Multipart::new(bounded, boundary);
-    let first = async {
-        while let Some(field) = form.next_field().await.map_err(|error| refused(&with_causes(&error)))? {
-            if let Some(file_name) = field.file_name().map(str::to_owned) {
-                return Ok((Some(file_name), field));
-            }
+    while let Some(field) = form.next_field().await.map_err(|error| refused(&with_causes(&error)))? {
+        if let Some(file_name) = field.file_name().map(str::to_owned) {
+            is_found.store(true, Ordering::Relaxed);
+            return Ok((Some(file_name), field));
         }
-        Err(refused(NO_FILE))
-    };
-    let first = timeout(BEFORE_FILE_TIME, first)
-        .await
-        .map_err(|_| refused("the file of this form does not begin"))?;
-    is_found.store(true, Ordering::Relaxed);
-    first
+    }
+    Err(refused(NO_FILE))
 }
 
 /// Makes a scene of the living room this program carries, and parses it: something to ask about at once.

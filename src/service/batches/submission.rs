@@ -10,8 +10,6 @@ use bytes::Bytes;
 use futures::{Stream, StreamExt};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
-use std::time::Duration;
-use tokio::time::timeout;
 use uniground_types::batch::{Batch, BatchRequest};
 use uniground_types::question::GroundRequest;
 
@@ -37,8 +35,6 @@ pub enum Body<S> {
 const TOGETHER: usize = 500;
 /// No question needs a longer line.
 const MAX_LINE_BYTES: usize = 64 << 10;
-/// A sender that says nothing for so long has left.
-const SILENCE: Duration = Duration::from_secs(20);
 
 impl Submission {
     /// Splits a JSON request into what comes with it and its items.
@@ -142,7 +138,7 @@ impl Receiving<'_> {
         let mut rest: Vec<u8> = Vec::new();
         let mut received = 0;
         let left = |received| Error::UploadInterrupted { received };
-        while let Some(chunk) = timeout(SILENCE, lines.next()).await.map_err(|_| left(received))? {
+        while let Some(chunk) = lines.next().await {
             let chunk = chunk.map_err(|_| left(received))?;
             received += chunk.len() as u64;
             let mut parts = chunk.split(|byte| *byte == b'\n');
