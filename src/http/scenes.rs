@@ -24,7 +24,7 @@ use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::labels::read_labels;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::{Created, ImportRequest, ParseRequest, Scene, SceneChange, SceneList};
-use uniground_types::settings::{ImportSettings, LevellingChoice, ParsePreset, ParseSettings};
+use uniground_types::settings::{ImportSettings, LevellingChoice, ParsePreset, ParseSettings, check_metres_per_unit};
 use utoipa::IntoParams;
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -88,6 +88,7 @@ pub async fn create(
     request: Request,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
     let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
+    check_metres_per_unit("metres_per_unit", metres_per_unit).map_err(Error::from)?;
     let mut settings = ParseSettings::from_request(preset, None).map_err(Error::from)?;
     settings.import = ImportSettings { up, metres_per_unit, levelling, ..settings.import };
     let announced_bytes = header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);

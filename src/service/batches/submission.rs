@@ -11,6 +11,7 @@ use futures::{Stream, StreamExt};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
 use uniground_types::batch::{Batch, BatchRequest};
+use uniground_types::numbers::zero_or_more;
 use uniground_types::question::GroundRequest;
 
 /// What comes with a batch.
@@ -48,9 +49,7 @@ impl Submission {
         if self.concurrency.is_some_and(|c| !(1..=MAX_CONCURRENCY).contains(&c)) {
             return Err(Error::invalid("/concurrency", format!("must be 1 to {MAX_CONCURRENCY}")));
         }
-        if self.max_cost_usd.is_some_and(|usd| !usd.is_finite() || usd < 0.0) {
-            return Err(Error::invalid("/max_cost_usd", "must be 0 or more"));
-        }
+        self.max_cost_usd.map_or(Ok(()), |usd| zero_or_more("/max_cost_usd", usd))?;
         if self
             .label
             .as_ref()

@@ -25,6 +25,7 @@ use std::time::{Duration, Instant};
 use uniground_types::keys::{CreatedKey, Key, KeyList, NewKey, Scope};
 
 /// Characters of a secret by which it is found: `ug_` and eight more.
+use uniground_types::numbers::zero_or_more;
 const PREFIX_CHARS: usize = 11;
 const MAX_NAME_CHARS: usize = 200;
 /// How often it is written down that a key is used.
@@ -363,9 +364,7 @@ fn check(new: &NewKey) -> Result<Option<String>, Error> {
     if new.requests_per_minute == Some(0) {
         return Err(Error::invalid("/requests_per_minute", "must be at least 1; to refuse all of them, revoke the key"));
     }
-    if new.daily_usd.is_some_and(|usd| !usd.is_finite() || usd < 0.0) {
-        return Err(Error::invalid("/daily_usd", "must be 0 or more"));
-    }
+    new.daily_usd.map_or(Ok(()), |usd| zero_or_more("/daily_usd", usd))?;
     let Some(at) = &new.expires_at else { return Ok(None) };
     let at: Timestamp = at.parse().map_err(|_| Error::invalid("/expires_at", "must be a time like 2027-01-31T00:00:00Z"))?;
     if at <= Timestamp::now() {
