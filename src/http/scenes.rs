@@ -2,7 +2,7 @@
 
 use super::Binary;
 use super::caching::send_download;
-use super::extract::{Json, Path, Query};
+use super::extract::{IdempotencyKey, Json, Path, Query};
 use super::paging::{DEFAULT_LIMIT, checked};
 use super::problem::Refused;
 use super::{App, Asking};
@@ -84,15 +84,15 @@ pub async fn create(
     State(app): State<App>,
     Query(CreateParameters { name, parse, up, metres_per_unit, levelling, preset }): Query<CreateParameters>,
     Extension(caller): Asking,
+    IdempotencyKey(idempotency_key): IdempotencyKey,
     headers: HeaderMap,
     request: Request,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
-    let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
     check_metres_per_unit("metres_per_unit", metres_per_unit).map_err(Error::from)?;
+    let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
     let mut settings = ParseSettings::from_request(preset, None).map_err(Error::from)?;
     settings.import = ImportSettings { up, metres_per_unit, levelling, ..settings.import };
     let announced_bytes = header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
-    let idempotency_key = header("idempotency-key").map(str::to_owned);
     let new = NewScene { name, file_name: None, parse: parse.then_some(settings), idempotency_key, announced_bytes };
     let body = request.into_body().into_data_stream();
     let (scene, job) = match header("content-type").and_then(|media_type| parse_boundary(media_type).ok()) {
@@ -128,15 +128,14 @@ pub async fn create(
 pub async fn import(
     State(app): State<App>,
     Extension(caller): Asking,
-    headers: HeaderMap,
+    IdempotencyKey(key): IdempotencyKey,
     Json(request): Json<ImportRequest>,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
-    let key = headers.get("idempotency-key").and_then(|key| key.to_str().ok()).map(str::to_owned);
     let (scene, job) = app.service.import_scene(request, key, &caller).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
-/// Bytes of a form before its file, and how long they may take.
+/// Bytes of a form before its file.
 const BEFORE_FILE_BYTES: usize = 64 << 10;
 
 /// The first file of a form: what it is called, and its bytes.
