@@ -48,7 +48,7 @@ pub use figures::{Figures, JobFigures};
 pub use growth::{Continued, Grew, Growth};
 pub use health::StoreHealth;
 pub use jobs::{Hold, JobFilter, JobRow, JobState, NewJob, Queued, Recovery};
-pub use keys::KeyRow;
+pub use keys::{AuditWriter, KeyRow};
 pub use members::{Company, LEASE, Turn};
 pub use moving::{KindOfFiles, MoveError, Moved, Part, Place, Progress, move_over};
 pub use news::{News, Newsroom};

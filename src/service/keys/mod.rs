@@ -10,7 +10,9 @@ pub use audit::Done;
 pub use links::{LinkSecret, PARAMETER as LINK_PARAMETER};
 
 use crate::error::Error;
+use crate::metrics::Metrics;
 use crate::store::{KeyRow, Store, now, page};
+use audit::AuditLog;
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use governor::clock::{Clock, DefaultClock};
@@ -23,9 +25,9 @@ use std::num::NonZeroU32;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 use uniground_types::keys::{CreatedKey, Key, KeyList, NewKey, Scope};
+use uniground_types::numbers::zero_or_more;
 
 /// Characters of a secret by which it is found: `ug_` and eight more.
-use uniground_types::numbers::zero_or_more;
 const PREFIX_CHARS: usize = 11;
 const MAX_NAME_CHARS: usize = 200;
 /// How often it is written down that a key is used.
@@ -142,6 +144,7 @@ pub struct Keyring {
     /// By prefix.
     known: Arc<RwLock<HashMap<String, Arc<KnownKey>>>>,
     link_secret: LinkSecret,
+    audit_log: AuditLog,
 }
 
 impl Keyring {
@@ -152,7 +155,15 @@ impl Keyring {
     pub async fn open(store: Store, own: Option<&str>) -> Result<Self, Error> {
         let known = store.all_keys().await?.into_iter().map(|row| (row.prefix.clone(), KnownKey::of(row))).collect();
         let own = own.map(|key| hash_of(key).into());
-        Ok(Self { store, own, known: Arc::new(RwLock::new(known)), link_secret: LinkSecret::random()? })
+        let audit_log = AuditLog::start(store.audit_writer(), Arc::default());
+        Ok(Self { store, own, known: Arc::new(RwLock::new(known)), link_secret: LinkSecret::random()?, audit_log })
+    }
+
+    /// Counts audit entries that are dropped in these metrics.
+    #[must_use]
+    pub fn counted_by(self, metrics: Arc<Metrics>) -> Self {
+        let audit_log = AuditLog::start(self.store.audit_writer(), metrics);
+        Self { audit_log, ..self }
     }
 
     /// Reads anew what other processes may have changed. A key that is as it was keeps the count of its requests.
