@@ -105,6 +105,7 @@ pub struct ChangesParameters {
         (status = 409, body = Problem, content_type = "application/problem+json"),
         (status = 422, body = Problem, content_type = "application/problem+json"),
         (status = 429, body = Problem, content_type = "application/problem+json"),
+        (status = 504, body = Problem, content_type = "application/problem+json"),
     ),
     security(("key" = ["read"]), ())
 )]

@@ -104,6 +104,7 @@ pub struct Service {
     growing: Arc<Mutex<()>>,
     /// Held while something is drawn or made for who looks at a scene: questions have their own places.
     drawing: Arc<Mutex<()>>,
+    comparisons: Arc<Semaphore>,
     /// Scans below it may be imported; `None`: nothing may.
     import_root: Option<Utf8PathBuf>,
     /// Where an inference server runs the networks.
@@ -116,6 +117,8 @@ pub struct Service {
 
 /// Uploads received at once.
 const MAX_UPLOADS: usize = 16;
+/// Comparisons of two scans that are computed at once.
+const MAX_COMPARISONS: usize = 2;
 /// Scenes looked into at once, whoever asks about many: they take few of the places at work on questions, and few connections of the database.
 const MAX_GLANCES: usize = 2;
 /// How long a question waits for its turn before the server calls itself overloaded.
@@ -128,9 +131,9 @@ impl Service {
         Self {
             metrics: jobs.metrics().clone(),
             store,
+            keys: keys.counted_by(jobs.metrics().clone()),
             jobs,
             limits,
-            keys: keys.counted_by(jobs.metrics().clone()),
             parses: Arc::default(),
             pictures: Arc::default(),
             questions: Arc::new(Semaphore::new(limits.max_concurrent_questions)),
@@ -142,6 +145,7 @@ impl Service {
             models,
             growing: Arc::default(),
             drawing: Arc::default(),
+            comparisons: Arc::new(Semaphore::new(MAX_COMPARISONS)),
             import_root: None,
             inference: None,
             health: Lately::default(),
