@@ -161,6 +161,20 @@ impl StoreError {
         }
     }
 
+    /// Whether SQLite found its file damaged.
+    #[must_use]
+    pub fn is_damaged(&self) -> bool {
+        match self {
+            // SQLITE_CORRUPT and SQLITE_NOTADB, whatever their extended code; SQLITE_IOERR_SHORT_READ. PostgreSQL's codes have five characters.
+            Self::Database(error) => code(error).is_some_and(|code| {
+                let number = code.parse::<i32>().ok().filter(|_| code.len() < 5);
+                number.is_some_and(|number| matches!(number & 0xff, 11 | 26) || number == 522)
+            }),
+            Self::Together(error) => error.is_damaged(),
+            _ => false,
+        }
+    }
+
     /// Whether the object store can not be had now.
     #[must_use]
     pub fn is_blobs_away(&self) -> bool {
