@@ -117,6 +117,8 @@ pub enum Error {
         overlap * 100.0
     )]
     ScansApart { overlap: f32 },
+    #[error("comparing the two scans took longer than {seconds} s")]
+    ComparisonTimedOut { seconds: u64 },
     #[error("too many {what} at once: {most} are served")]
     TooMany { what: &'static str, most: usize },
     #[error("{what}")]
@@ -342,6 +344,7 @@ impl Error {
             Self::VersionsApart { .. } => "versions_apart",
             Self::NoVersion { .. } => "no_version",
             Self::ScansApart { .. } => "scans_apart",
+            Self::ComparisonTimedOut { .. } => "comparison_timed_out",
             Self::Overloaded | Self::TooMany { .. } => "overloaded",
             Self::UploadTooSlow { .. } => "upload_too_slow",
             Self::UploadTooLarge { .. } => "upload_too_large",

@@ -2,10 +2,13 @@
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use serde::de::DeserializeOwned;
+use std::num::ParseFloatError;
 use uniground_core::models::neural::Provider;
 use uniground_types::keys::Scope;
+use uniground_types::numbers;
+use uniground_types::problem::FieldError;
 use uniground_types::question::{EvidenceMode, FrameChoice, ReasonerChoice};
-use uniground_types::settings::ParsePreset;
+use uniground_types::settings::{ParsePreset, check_metres_per_unit};
 
 /// What computes.
 pub fn provider() -> impl TypedValueParser<Value = Provider> {
@@ -48,6 +51,27 @@ pub fn frame() -> impl TypedValueParser<Value = FrameChoice> {
     ])
 }
 
+/// US dollars.
+///
+/// # Errors
+/// What is no amount of money. JSON has no word for `NaN`: it would be left out, and with it the limit.
+pub fn usd(text: &str) -> Result<f64, String> {
+    checked(text, |usd| numbers::zero_or_more("", usd))
+}
+
+/// The length of one unit of a scan's files, metres.
+///
+/// # Errors
+/// What is no such length.
+pub fn metres_per_unit(text: &str) -> Result<f64, String> {
+    checked(text, |metres| check_metres_per_unit("", Some(metres)))
+}
+
+fn checked(text: &str, check: impl FnOnce(f64) -> Result<(), FieldError>) -> Result<f64, String> {
+    let number = text.parse().map_err(|error: ParseFloatError| error.to_string())?;
+    check(number).map(|()| number).map_err(|error| error.detail)
+}
+
 /// Words in the spelling of the command line; the API writes them with underscores.
 fn words<T: DeserializeOwned + Clone + Send + Sync + 'static>(known: &[(&'static str, &'static str)]) -> impl TypedValueParser<Value = T> {
     let value = |(word, help): &(&'static str, &'static str)| {
@@ -77,5 +101,14 @@ mod tests {
         check(evidence());
         check(frame());
         check(scope());
+    }
+
+    #[test]
+    fn numbers_that_are_none_are_refused() {
+        for text in ["NaN", "inf", "-inf", "-1", "1e999", "", "much"] {
+            assert!(usd(text).is_err() && metres_per_unit(text).is_err(), "{text:?}");
+        }
+        assert_eq!((usd("0"), usd("2.5"), metres_per_unit("0.001")), (Ok(0.0), Ok(2.5), Ok(0.001)));
+        assert!(metres_per_unit("0").is_err());
     }
 }

@@ -3,6 +3,7 @@
 use super::choosing;
 use super::output::print_json;
 use super::server::ServerArgs;
+use crate::words;
 use anyhow::{Context, bail};
 use camino::{Utf8Path, Utf8PathBuf};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -43,7 +44,7 @@ struct RunArgs {
     #[arg(long)]
     concurrency: Option<u32>,
     /// Most that all questions together may cost, US dollars
-    #[arg(long, value_name = "USD")]
+    #[arg(long, value_name = "USD", value_parser = words::usd)]
     max_cost_usd: Option<f64>,
     #[command(flatten)]
     server: ServerArgs,

@@ -9,6 +9,7 @@ use crate::evaluation::report::{Report, RunFacts};
 use crate::evaluation::run::{RunOptions, Step, run as run_suite};
 use crate::evaluation::suite::{Suite, SuiteOptions};
 use crate::evaluation::systems::{InProcess, ModelUse, Server, System};
+use crate::words;
 use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use clap::error::ErrorKind;
@@ -72,7 +73,7 @@ struct RunArgs {
     #[arg(long, value_name = "FILE", conflicts_with = "server")]
     replay: Option<Utf8PathBuf>,
     /// Most the model may cost in this run, US dollars: questions past that fail
-    #[arg(long, value_name = "USD", conflicts_with = "server")]
+    #[arg(long, value_name = "USD", value_parser = words::usd, conflicts_with = "server")]
     max_usd: Option<f64>,
     /// Questions asked at once; latencies are honest with one
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..=256))]

@@ -29,7 +29,7 @@ pub struct FindArgs {
     #[arg(long, default_value = "auto", value_parser = words::reasoner())]
     reasoner: ReasonerChoice,
     /// Most all of it may cost, US dollars
-    #[arg(long, value_name = "USD")]
+    #[arg(long, value_name = "USD", value_parser = words::usd)]
     max_cost_usd: Option<f64>,
     /// Print the answers as JSON
     #[arg(long)]

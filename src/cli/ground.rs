@@ -46,7 +46,7 @@ pub struct GroundArgs {
     #[arg(long, default_value = "full", value_parser = words::evidence())]
     evidence: EvidenceMode,
     /// Most the question may cost, US dollars
-    #[arg(long, value_name = "USD")]
+    #[arg(long, value_name = "USD", value_parser = words::usd)]
     max_cost_usd: Option<f64>,
     /// Who "me" is, and from where left and right are seen: metres, and the direction of view in degrees from +X towards +Y.
     /// Without Z, eyes are at 1.5 m

@@ -3,6 +3,7 @@
 mod archive;
 mod page;
 
+use crate::words;
 use anyhow::{Context, ensure};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::Serialize;
@@ -34,7 +35,7 @@ pub struct ImportArgs {
     #[arg(long, allow_hyphen_values = true, value_parser = super::parse::up_axis)]
     up: Option<UpAxis>,
     /// Length of one unit of the scan's cloud and poses, metres
-    #[arg(long, value_name = "METRES")]
+    #[arg(long, value_name = "METRES", value_parser = words::metres_per_unit)]
     metres_per_unit: Option<f64>,
     /// Leave a tilted world tilted
     #[arg(long)]

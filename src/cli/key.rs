@@ -46,7 +46,7 @@ struct CreateArgs {
     #[arg(long, value_name = "N")]
     max_scenes: Option<u32>,
     /// Most that its questions may cost in a day (UTC), US dollars
-    #[arg(long, value_name = "USD")]
+    #[arg(long, value_name = "USD", value_parser = words::usd)]
     daily_usd: Option<f64>,
     #[command(flatten)]
     place: Place,

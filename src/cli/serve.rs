@@ -1,10 +1,11 @@
-//! `uniground serve`: the service, until SIGTERM or Ctrl-C.
+//! `uniground serve`: the service, until SIGTERM, SIGHUP or Ctrl-C.
 
 use super::fetching::{fetch_all, wanted};
 use crate::app::{self, RunningService};
 use crate::config::{LIBRARY_FOLDER, ServeConfig};
 use crate::packages::Places;
 use crate::telemetry;
+use std::fs;
 use std::io::{self, Write};
 use tokio::signal::unix::{SignalKind, signal};
 
@@ -29,13 +30,24 @@ pub async fn until_stopped(config: &ServeConfig, start: impl Future<Output = any
     let _traces = telemetry::start(&config.log)?;
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut hangup = if ignores_hangup() { None } else { Some(signal(SignalKind::hangup())?) };
     let mut running = start.await?;
     println!("listening on http://{}", running.address);
     io::stdout().flush()?;
     tokio::select! {
         _ = terminate.recv() => tracing::info!("SIGTERM: stopping"),
+        Some(_) = async { hangup.as_mut()?.recv().await } => tracing::info!("SIGHUP: stopping"),
         _ = interrupt.recv() => tracing::info!("interrupted: stopping"),
         () = running.ended() => tracing::error!("the server ended by itself"),
     }
     running.stop().await
+}
+
+/// Returns whether this process was started with SIGHUP ignored, as `nohup` does: then it goes on when its terminal is closed. Known on
+/// Linux only.
+fn ignores_hangup() -> bool {
+    const SIGHUP_BIT: u64 = 1;
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    ignored.is_some_and(|mask| u64::from_str_radix(mask.trim(), 16).is_ok_and(|mask| mask & SIGHUP_BIT != 0))
 }

@@ -30,7 +30,7 @@ pub struct UploadArgs {
     #[arg(long, allow_hyphen_values = true, value_parser = super::parse::up_axis)]
     up: Option<UpAxis>,
     /// Length of one unit of the scan's cloud and poses, metres
-    #[arg(long, value_name = "METRES")]
+    #[arg(long, value_name = "METRES", value_parser = words::metres_per_unit)]
     metres_per_unit: Option<f64>,
     /// Leave a tilted world tilted
     #[arg(long)]

@@ -1,6 +1,6 @@
 //! `/v1/batches`
 
-use super::extract::{Json, Path, Query};
+use super::extract::{IdempotencyKey, Json, Path, Query};
 use super::paging::Page;
 use super::problem::Refused;
 use super::{App, Asking};
@@ -59,12 +59,13 @@ pub async fn create(
     State(app): State<App>,
     Query(CreateParameters { scene_id, label, concurrency, max_cost_usd }): Query<CreateParameters>,
     Extension(caller): Asking,
+    IdempotencyKey(idempotency_key): IdempotencyKey,
     headers: HeaderMap,
     request: Request,
 ) -> Result<(StatusCode, axum::Json<Batch>), Refused> {
-    let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
-    let idempotency_key = header("idempotency-key").map(str::to_owned);
-    let media_type = header("content-type")
+    let media_type = headers
+        .get(header::CONTENT_TYPE)
+        .and_then(|v| v.to_str().ok())
         .unwrap_or_default()
         .split(';')
         .next()

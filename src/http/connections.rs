@@ -1,7 +1,8 @@
 //! Connections: how many there are, how long they may take over what, and who leaves when there are too many.
 //!
-//! A connection that sends nothing costs its sender nothing, so it must cost us little: where all places are taken, the one that has been
-//! idle or half way through a header longest gives its place to a newcomer. Those with a request under way keep theirs.
+//! A connection that sends nothing costs its sender nothing, so it must cost us little: where all places are taken, the one that has kept
+//! the server waiting longest gives its place to a newcomer. That is one that is idle or half way through a header, or one whose request's
+//! body comes slowly. Those whose request is being answered keep theirs.
 
 use super::problem::Refused;
 use crate::metrics::Metrics;
@@ -13,12 +14,13 @@ use hyper::server::conn::http1;
 use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use hyper_util::server::graceful::GracefulShutdown;
+use std::cmp::Reverse;
 use std::collections::BTreeMap;
 use std::pin::Pin;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 use tokio::io::AsyncWriteExt;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::time::{sleep, timeout};
@@ -65,9 +67,10 @@ async fn connection(stream: TcpStream, router: Router, place: Place, watcher: hy
     stream.set_write_timeout(Some(WRITE_TIME));
     let (close, place) = (place.close.clone(), Arc::new(place));
     let service = service_fn(move |request: Request<hyper::body::Incoming>| {
-        let (router, busy) = (router.clone(), Busy::of(&place));
+        let (router, busy, mut request) = (router.clone(), Busy::of(&place), request.map(Body::new));
+        request.extensions_mut().insert(place.body.clone());
         async move {
-            let response = router.oneshot(request.map(Body::new)).await;
+            let response = router.oneshot(request).await;
             response.map(|response| response.map(|body| Held { body, _busy: busy }))
         }
     });
@@ -80,7 +83,7 @@ async fn connection(stream: TcpStream, router: Router, place: Place, watcher: hy
         served = watcher.watch(served) => if let Err(error) = served {
             tracing::debug!(%error, "a connection ended early");
         },
-        () = close.cancelled() => tracing::debug!("an idle connection gave its place to a newcomer"),
+        () = close.cancelled() => tracing::debug!("connection closed to make room for a new one"),
     }
 }
 
@@ -108,14 +111,89 @@ struct Places {
 struct Taken {
     /// Requests under way, their answers included.
     busy: usize,
+    /// When it was last without one.
+    idle_since: Instant,
+    body: BodyProgress,
     close: CancellationToken,
+}
+
+impl Taken {
+    /// Returns how long the client has kept the server waiting; `None` while the server works on its request.
+    fn lag(&self, now: Instant) -> Option<Duration> {
+        match self.busy {
+            0 => Some(now.saturating_duration_since(self.idle_since)),
+            _ => self.body.lag(now),
+        }
+    }
 }
 
 /// A connection's place; free again when this is dropped.
 struct Place {
     places: Places,
     number: u64,
+    body: BodyProgress,
     close: CancellationToken,
+}
+
+/// A client that sends the body of a request at this rate does not keep the server waiting, bytes per second.
+const EXPECTED_BYTES_PER_S: u64 = 16 << 10;
+
+/// The progress of the body of a connection's current request.
+#[derive(Debug, Clone, Default)]
+pub struct BodyProgress(Arc<Mutex<Arrived>>);
+
+#[derive(Debug, Default)]
+struct Arrived {
+    bytes: u64,
+    /// Time for which the server has waited for these bytes.
+    waited: Duration,
+    /// When it began to wait for the next ones, where it does.
+    waiting_since: Option<Instant>,
+}
+
+impl BodyProgress {
+    fn arrived(&self) -> MutexGuard<'_, Arrived> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Starts over with the body of another request.
+    pub fn begin(&self) {
+        *self.arrived() = Arrived::default();
+    }
+
+    /// Records that the server waits for the client from now on. Returns the bytes received so far and the time spent waiting for them;
+    /// `None` if it was waiting already.
+    pub fn wait(&self) -> Option<(u64, Duration)> {
+        let mut arrived = self.arrived();
+        if arrived.waiting_since.is_some() {
+            return None;
+        }
+        arrived.waiting_since = Some(Instant::now());
+        Some((arrived.bytes, arrived.waited))
+    }
+
+    /// Records that more bytes were received.
+    pub fn received(&self, bytes: u64) {
+        let mut arrived = self.arrived();
+        arrived.bytes += bytes;
+        if let Some(since) = arrived.waiting_since.take() {
+            arrived.waited += since.elapsed();
+        }
+    }
+
+    /// Records that the server waits for no more of this body.
+    pub fn end(&self) {
+        self.arrived().waiting_since = None;
+    }
+
+    /// Returns how far the client is behind one that sends [`EXPECTED_BYTES_PER_S`]; `None` if it is not, or if nobody waits for it.
+    fn lag(&self, now: Instant) -> Option<Duration> {
+        let arrived = self.arrived();
+        let waited = arrived.waited + now.saturating_duration_since(arrived.waiting_since?);
+        waited
+            .checked_sub(Duration::from_millis(arrived.bytes.saturating_mul(1000) / EXPECTED_BYTES_PER_S))
+            .filter(|lag| !lag.is_zero())
+    }
 }
 
 impl Places {
@@ -127,19 +205,21 @@ impl Places {
         self.taken.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// A place, if need be that of the connection that has been idle longest; `None` where all have work under way.
+    /// Takes a place, if need be that of the connection whose client has kept the server waiting longest. Returns `None` while all
+    /// requests are being answered.
     fn enter(&self) -> Option<Place> {
-        let mut taken = self.taken();
+        let (mut taken, now) = (self.taken(), Instant::now());
         if taken.len() >= self.most {
-            let idle = taken.iter().find(|(_, place)| place.busy == 0).map(|(number, _)| *number)?;
-            taken.remove(&idle)?.close.cancel();
+            let slowest = taken.iter().filter_map(|(number, place)| Some((place.lag(now)?, Reverse(*number)))).max();
+            let (_, Reverse(number)) = slowest?;
+            taken.remove(&number)?.close.cancel();
         }
         let number = self.next.fetch_add(1, Ordering::Relaxed);
-        let close = CancellationToken::new();
-        taken.insert(number, Taken { busy: 0, close: close.clone() });
+        let (body, close) = (BodyProgress::default(), CancellationToken::new());
+        taken.insert(number, Taken { busy: 0, idle_since: now, body: body.clone(), close: close.clone() });
         self.metrics.requests.connections.set(taken.len() as i64);
         drop(taken);
-        Some(Place { places: self.clone(), number, close })
+        Some(Place { places: self.clone(), number, body, close })
     }
 }
 
@@ -167,6 +247,7 @@ impl Drop for Busy {
     fn drop(&mut self) {
         if let Some(taken) = self.0.places.taken().get_mut(&self.0.number) {
             taken.busy -= 1;
+            taken.idle_since = Instant::now();
         }
     }
 }
@@ -212,5 +293,34 @@ mod tests {
         assert!(places.enter().is_some() && first.close.is_cancelled());
         drop(second);
         assert_eq!(places.taken().len(), 1, "the last newcomer has left, the third is there");
+    }
+
+    #[test]
+    fn a_client_that_sends_its_body_slowly_leaves_before_one_that_waits_for_its_answer() {
+        let places = Places::new(3, Arc::default());
+        let [answered, quick, slow] = [(); 3].map(|()| Arc::new(places.enter().unwrap()));
+        let _busy = [&answered, &quick, &slow].map(Busy::of);
+        for (place, bytes) in [(&quick, 100 << 20), (&slow, 1)] {
+            place.body.begin();
+            place.body.received(bytes);
+            assert_eq!(place.body.wait().map(|(bytes, _)| bytes), Some(bytes));
+            assert_eq!(place.body.wait(), None, "it is waited for already");
+        }
+        let is_closed = |place: &Place| place.close.is_cancelled();
+        std::thread::sleep(Duration::from_millis(2));
+        let newcomer = Arc::new(places.enter().unwrap());
+        assert!(is_closed(&slow) && !is_closed(&quick) && !is_closed(&answered));
+        let _busy = Busy::of(&newcomer);
+        assert!(places.enter().is_none(), "nobody else keeps the server waiting");
+    }
+
+    #[test]
+    fn a_client_is_behind_by_what_it_would_have_sent() {
+        let (progress, s, start) = (BodyProgress::default(), Duration::from_secs, Instant::now());
+        *progress.arrived() = Arrived { bytes: 10 * EXPECTED_BYTES_PER_S, waited: s(8), waiting_since: Some(start) };
+        let after = |seconds| progress.lag(start + s(seconds));
+        assert_eq!((after(1), after(5)), (None, Some(s(3))));
+        progress.end();
+        assert_eq!(after(5), None, "it is not waited for");
     }
 }

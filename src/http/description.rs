@@ -140,8 +140,14 @@ fn may_meet(operation: &mut Operation, path: &str, changes: bool) {
     for status in read.into_iter().chain(part) {
         responses.entry(status.as_str().to_owned()).or_insert_with(|| Response::new("").into());
     }
+    // A body that comes too slowly.
+    let refused_bodies = operation.request_body.is_some().then_some(StatusCode::REQUEST_TIMEOUT);
     // A page of another origin; a name that is not the server's.
-    let refused = changes.then_some(StatusCode::FORBIDDEN).into_iter().chain([StatusCode::MISDIRECTED_REQUEST]);
+    let refused = changes
+        .then_some(StatusCode::FORBIDDEN)
+        .into_iter()
+        .chain(refused_bodies)
+        .chain([StatusCode::MISDIRECTED_REQUEST]);
     for status in refused {
         let problem = || {
             ResponseBuilder::new()

@@ -6,13 +6,9 @@ use axum::extract::{FromRequest, FromRequestParts, Request};
 use axum::http::request::Parts;
 use axum::http::{StatusCode, header};
 use serde::de::DeserializeOwned;
-use std::time::Duration;
-use tokio::time::timeout;
 
 /// Largest JSON body read.
 const MAX_JSON_BYTES: usize = 1 << 20;
-/// Longest a JSON body is waited for.
-const JSON_TIME: Duration = Duration::from_secs(20);
 
 /// A JSON body.
 pub struct Json<T>(pub T);
@@ -27,11 +23,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Json<T> {
             let detail = format!("the body must be application/json, not {essence:?}");
             return Err(Refused::new(StatusCode::UNSUPPORTED_MEDIA_TYPE, "unsupported_media_type", detail));
         }
-        let bytes = timeout(JSON_TIME, to_bytes(request.into_body(), MAX_JSON_BYTES)).await.map_err(|_| {
-            let detail = format!("a JSON body is sent within {} s", JSON_TIME.as_secs());
-            Refused::new(StatusCode::REQUEST_TIMEOUT, "body_too_slow", detail)
-        })?;
-        let bytes = bytes.map_err(|_| {
+        let bytes = to_bytes(request.into_body(), MAX_JSON_BYTES).await.map_err(|_| {
             Refused::new(StatusCode::PAYLOAD_TOO_LARGE, "body_too_large", format!("a JSON body has at most {MAX_JSON_BYTES} bytes"))
         })?;
         if holds_nul(&bytes) {
@@ -102,9 +94,55 @@ impl<T: DeserializeOwned + Send, S: Send + Sync> FromRequestParts<S> for Path<T>
     }
 }
 
+/// Longest idempotency key, bytes.
+const MAX_IDEMPOTENCY_KEY_BYTES: usize = 255;
+
+/// The header `Idempotency-Key`, where the request has one.
+pub struct IdempotencyKey(pub Option<String>);
+
+impl<S: Send + Sync> FromRequestParts<S> for IdempotencyKey {
+    type Rejection = Refused;
+
+    async fn from_request_parts(parts: &mut Parts, _state: &S) -> Result<Self, Refused> {
+        let mut headers = parts.headers.get_all("idempotency-key").iter();
+        let Some(key) = headers.next() else { return Ok(Self(None)) };
+        let is_visible = |byte: &u8| byte.is_ascii_graphic() || *byte == b' ';
+        let is_key = (1..=MAX_IDEMPOTENCY_KEY_BYTES).contains(&key.len()) && key.as_bytes().iter().all(is_visible);
+        match key.to_str() {
+            Ok(key) if is_key && headers.next().is_none() => Ok(Self(Some(key.to_owned()))),
+            _ => Err(Refused::invalid(
+                "Idempotency-Key",
+                format!("must be sent once and have 1 to {MAX_IDEMPOTENCY_KEY_BYTES} visible ASCII characters"),
+            )),
+        }
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use axum::http::HeaderValue;
+
+    async fn key_of(values: &[&[u8]]) -> Result<Option<String>, Refused> {
+        let (mut parts, ()) = Request::new(()).into_parts();
+        for value in values {
+            parts.headers.append("idempotency-key", HeaderValue::from_bytes(value).unwrap());
+        }
+        IdempotencyKey::from_request_parts(&mut parts, &()).await.map(|key| key.0)
+    }
+
+    #[tokio::test]
+    async fn an_idempotency_key_is_short_visible_and_alone() {
+        assert_eq!(key_of(&[]).await.unwrap(), None);
+        let longest = [b'k'; MAX_IDEMPOTENCY_KEY_BYTES];
+        for key in [b"monday, 8".as_slice(), &longest] {
+            assert_eq!(key_of(&[key]).await.unwrap().unwrap().as_bytes(), key);
+        }
+        for keys in [&[b"".as_slice()][..], &[&[b'k'; MAX_IDEMPOTENCY_KEY_BYTES + 1]], &["\u{fc}".as_bytes()], &[b"a\tb"], &[b"a", b"a"]] {
+            let problem = key_of(keys).await.unwrap_err().problem();
+            assert_eq!((problem.status, problem.errors[0].pointer.as_str()), (422, "Idempotency-Key"), "{keys:?}");
+        }
+    }
 
     #[test]
     fn a_nul_is_seen_where_it_is_one() {

@@ -1,6 +1,6 @@
 //! `/v1/scenes/{scene_id}/ground` and `/shortlist`, and `/v1/ground`
 
-use super::extract::{Json, Path};
+use super::extract::{IdempotencyKey, Json, Path};
 use super::problem::Refused;
 use super::{App, Asking};
 use axum::Extension;
@@ -43,16 +43,13 @@ pub async fn ground(
     State(app): State<App>,
     Path(scene_id): Path<String>,
     Extension(caller): Asking,
-    headers: HeaderMap,
+    IdempotencyKey(key): IdempotencyKey,
     Json(request): Json<GroundRequest>,
 ) -> Result<Response, Refused> {
-    let Some(key) = headers.get("idempotency-key") else {
+    let Some(key) = key else {
         return Ok(axum::Json(app.service.ground(&scene_id, request, caller).await?).into_response());
     };
-    let key = key
-        .to_str()
-        .map_err(|_| Refused::invalid("Idempotency-Key", "it has visible ASCII characters only"))?;
-    let (answer, is_replayed) = app.service.ground_once(&scene_id, request, caller, key.to_owned()).await?;
+    let (answer, is_replayed) = app.service.ground_once(&scene_id, request, caller, key).await?;
     let mut response = axum::Json(answer).into_response();
     if is_replayed {
         response.headers_mut().insert("idempotent-replayed", HeaderValue::from_static("true"));

@@ -1,7 +1,7 @@
 //! `/v1/scenes/{id}/frames` to add to, and `/v1/scenes/{id}/changes`: scenes that grow.
 
 use super::Binary;
-use super::extract::{Path, Query};
+use super::extract::{IdempotencyKey, Path, Query};
 use super::problem::Refused;
 use super::scenes::file_of_form;
 use super::{App, Asking};
@@ -63,12 +63,13 @@ pub async fn add_frames(
     Path(scene_id): Path<String>,
     Query(AddParameters { world }): Query<AddParameters>,
     Extension(caller): Asking,
+    IdempotencyKey(idempotency_key): IdempotencyKey,
     headers: HeaderMap,
     request: Request,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
     let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
     let announced_bytes = header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
-    let new = NewFrames { file_name: None, world, idempotency_key: header("idempotency-key").map(str::to_owned), announced_bytes };
+    let new = NewFrames { file_name: None, world, idempotency_key, announced_bytes };
     let body = request.into_body().into_data_stream();
     let (scene, job) = match header("content-type").and_then(|media_type| parse_boundary(media_type).ok()) {
         Some(boundary) => {
@@ -104,6 +105,7 @@ pub struct ChangesParameters {
         (status = 409, body = Problem, content_type = "application/problem+json"),
         (status = 422, body = Problem, content_type = "application/problem+json"),
         (status = 429, body = Problem, content_type = "application/problem+json"),
+        (status = 504, body = Problem, content_type = "application/problem+json"),
     ),
     security(("key" = ["read"]), ())
 )]

@@ -33,7 +33,7 @@ pub async fn healthz() -> Json<Alive> {
 pub async fn readyz(State(app): State<App>) -> Response {
     let health = app.service.health().await;
     let ready = health.is_ready();
-    let Health { store: StoreHealth { database, blobs, disk }, dead_lanes, inference, vlm } = health;
+    let Health { store: StoreHealth { database, blobs, disk, is_damaged: _ }, dead_lanes, inference, vlm } = health;
     let word = |trouble: Option<String>| trouble.unwrap_or_else(|| "ok".into());
     let of_server = |condition: Option<Result<(), String>>| condition.map(|condition| word(condition.err()));
     let models = app.service.parse_models();

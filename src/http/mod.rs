@@ -4,6 +4,7 @@ mod answers;
 mod approach;
 mod auth;
 mod batches;
+mod body_rate;
 mod caching;
 mod connections;
 mod corrections;
@@ -53,7 +54,6 @@ use axum::middleware::map_response;
 use axum::response::{IntoResponse, Response};
 use axum::{Router, middleware};
 use std::sync::Arc;
-use std::time::Duration;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 use tower::util::MapRequestLayer;
@@ -63,7 +63,6 @@ use tower_http::compression::CompressionLayer;
 use tower_http::compression::predicate::{DefaultPredicate, NotForContentType, Predicate};
 use tower_http::request_id::{MakeRequestUuid, PropagateRequestIdLayer, SetRequestIdLayer};
 use tower_http::set_header::SetResponseHeaderLayer;
-use tower_http::timeout::RequestBodyTimeoutLayer;
 use tower_http::trace::{DefaultOnResponse, TraceLayer};
 use tracing::{Level, Span};
 use utoipa::OpenApi;
@@ -224,6 +223,8 @@ pub fn watched(app: App) -> Router {
 /// Routes with all that lies around them; `open` ones want no key.
 fn layered(app: App, routes: Router<App>, open: Router) -> Router {
     routes
+        // Handlers of these routes are the only readers of bodies.
+        .layer(middleware::from_fn(body_rate::limit))
         .layer(middleware::from_fn(caching::mark))
         .layer(middleware::from_fn_with_state(app.clone(), auth::check))
         .with_state(app.clone())
@@ -242,7 +243,6 @@ fn layered(app: App, routes: Router<App>, open: Router) -> Router {
         .layer(always(header::REFERRER_POLICY, "no-referrer"))
         // Scans of somebody's home: no cache on the way keeps them.
         .layer(always(header::CACHE_CONTROL, "no-store"))
-        .layer(RequestBodyTimeoutLayer::new(BODY_SILENCE))
         .layer(PropagateRequestIdLayer::new(REQUEST_ID))
         .layer(
             TraceLayer::new_for_http()
@@ -263,9 +263,6 @@ fn worth_compressing() -> impl Predicate {
         .and(NotForContentType::const_new("application/jsonl"))
         .and(NotForContentType::const_new("text/csv"))
 }
-
-/// A body that says nothing for so long is given up.
-const BODY_SILENCE: Duration = Duration::from_secs(25);
 
 fn always(name: HeaderName, value: &'static str) -> SetResponseHeaderLayer<HeaderValue> {
     SetResponseHeaderLayer::if_not_present(name, HeaderValue::from_static(value))

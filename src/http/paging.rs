@@ -3,6 +3,7 @@
 use crate::error::Error;
 use serde::Deserialize;
 use utoipa::IntoParams;
+use uuid::Uuid;
 
 /// Which page of a list is wanted.
 #[derive(Debug, Deserialize, IntoParams)]
@@ -36,8 +37,29 @@ pub fn checked(limit: u32, cursor: Option<String>) -> Result<(u32, Option<String
     if !(1..=100).contains(&limit) {
         return Err(Error::invalid("limit", "must be 1 to 100"));
     }
-    if cursor.as_ref().is_some_and(|cursor| cursor.parse::<uuid::Uuid>().is_err()) {
+    if cursor.as_ref().is_some_and(|cursor| !is_id(cursor)) {
         return Err(Error::invalid("cursor", "must be the next_cursor of the page before"));
     }
     Ok((limit, cursor))
+}
+
+/// Returns whether a text is an id as it is stored. A UUID in braces or capitals would be parsed too, but ids are compared as text.
+fn is_id(text: &str) -> bool {
+    text.parse().is_ok_and(|id: Uuid| id.to_string() == text)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_ids_as_they_are_stored_are_cursors() {
+        let id = "01a1ff70-0000-7000-8000-00000000000a";
+        assert!(checked(1, Some(id.into())).is_ok());
+        let others = [format!("{{{id}}}"), format!("urn:uuid:{id}"), id.to_uppercase(), id.replace('-', ""), String::new(), "{}".into()];
+        for other in others {
+            let refused = checked(1, Some(other.clone()));
+            assert!(matches!(&refused, Err(Error::Invalid { pointer, .. }) if pointer == "cursor"), "{other:?}: {refused:?}");
+        }
+    }
 }

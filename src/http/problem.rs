@@ -190,7 +190,7 @@ fn status_of(error: &Error) -> StatusCode {
         Error::VlmFailed { .. } | Error::Model(_) => StatusCode::BAD_GATEWAY,
         Error::OverBudget(_) => StatusCode::PAYMENT_REQUIRED,
         Error::TooManyScenes { .. } | Error::KeyRefused | Error::ImportNotAllowed => StatusCode::FORBIDDEN,
-        Error::QuestionTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
+        Error::QuestionTimedOut { .. } | Error::ComparisonTimedOut { .. } => StatusCode::GATEWAY_TIMEOUT,
         Error::DiskNearlyFull { .. } | Error::MemoryShort { .. } | Error::ReaderKilled => StatusCode::INSUFFICIENT_STORAGE,
         Error::Overloaded | Error::TooMany { .. } | Error::TooManyUploads { .. } => StatusCode::TOO_MANY_REQUESTS,
         Error::ParseDamaged { .. } | Error::VlmDown { .. } => StatusCode::SERVICE_UNAVAILABLE,

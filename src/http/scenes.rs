@@ -2,7 +2,7 @@
 
 use super::Binary;
 use super::caching::send_download;
-use super::extract::{Json, Path, Query};
+use super::extract::{IdempotencyKey, Json, Path, Query};
 use super::paging::{DEFAULT_LIMIT, checked};
 use super::problem::Refused;
 use super::{App, Asking};
@@ -19,14 +19,12 @@ use multer::{Field, Multipart, parse_boundary};
 use serde::Deserialize;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
-use tokio::time::timeout;
 use uniground_core::models::with_causes;
 use uniground_types::geometry::up_axis::UpAxis;
 use uniground_types::labels::read_labels;
 use uniground_types::problem::Problem;
 use uniground_types::scenes::{Created, ImportRequest, ParseRequest, Scene, SceneChange, SceneList};
-use uniground_types::settings::{ImportSettings, LevellingChoice, ParsePreset, ParseSettings};
+use uniground_types::settings::{ImportSettings, LevellingChoice, ParsePreset, ParseSettings, check_metres_per_unit};
 use utoipa::IntoParams;
 
 #[derive(Debug, Deserialize, IntoParams)]
@@ -86,14 +84,15 @@ pub async fn create(
     State(app): State<App>,
     Query(CreateParameters { name, parse, up, metres_per_unit, levelling, preset }): Query<CreateParameters>,
     Extension(caller): Asking,
+    IdempotencyKey(idempotency_key): IdempotencyKey,
     headers: HeaderMap,
     request: Request,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
+    check_metres_per_unit("metres_per_unit", metres_per_unit).map_err(Error::from)?;
     let header = |name: &str| headers.get(name).and_then(|v| v.to_str().ok());
     let mut settings = ParseSettings::from_request(preset, None).map_err(Error::from)?;
     settings.import = ImportSettings { up, metres_per_unit, levelling, ..settings.import };
     let announced_bytes = header("content-length").and_then(|bytes| bytes.parse().ok()).unwrap_or(0);
-    let idempotency_key = header("idempotency-key").map(str::to_owned);
     let new = NewScene { name, file_name: None, parse: parse.then_some(settings), idempotency_key, announced_bytes };
     let body = request.into_body().into_data_stream();
     let (scene, job) = match header("content-type").and_then(|media_type| parse_boundary(media_type).ok()) {
@@ -129,17 +128,15 @@ pub async fn create(
 pub async fn import(
     State(app): State<App>,
     Extension(caller): Asking,
-    headers: HeaderMap,
+    IdempotencyKey(key): IdempotencyKey,
     Json(request): Json<ImportRequest>,
 ) -> Result<(StatusCode, axum::Json<Created>), Refused> {
-    let key = headers.get("idempotency-key").and_then(|key| key.to_str().ok()).map(str::to_owned);
     let (scene, job) = app.service.import_scene(request, key, &caller).await?;
     Ok((StatusCode::ACCEPTED, axum::Json(Created { scene, job })))
 }
 
-/// Bytes of a form before its file, and how long they may take.
+/// Bytes of a form before its file.
 const BEFORE_FILE_BYTES: usize = 64 << 10;
-const BEFORE_FILE_TIME: Duration = Duration::from_secs(20);
 
 /// The first file of a form: what it is called, and its bytes.
 pub(super) async fn file_of_form(body: BodyDataStream, boundary: String) -> Result<(Option<String>, Field<'static>), Refused> {
@@ -156,19 +153,13 @@ pub(super) async fn file_of_form(body: BodyDataStream, boundary: String) -> Resu
         Ok(chunk)
     });
     let mut form = Multipart::new(bounded, boundary);
-    let first = async {
-        while let Some(field) = form.next_field().await.map_err(|error| refused(&with_causes(&error)))? {
-            if let Some(file_name) = field.file_name().map(str::to_owned) {
-                return Ok((Some(file_name), field));
-            }
+    while let Some(field) = form.next_field().await.map_err(|error| refused(&with_causes(&error)))? {
+        if let Some(file_name) = field.file_name().map(str::to_owned) {
+            is_found.store(true, Ordering::Relaxed);
+            return Ok((Some(file_name), field));
         }
-        Err(refused(NO_FILE))
-    };
-    let first = timeout(BEFORE_FILE_TIME, first)
-        .await
-        .map_err(|_| refused("the file of this form does not begin"))?;
-    is_found.store(true, Ordering::Relaxed);
-    first
+    }
+    Err(refused(NO_FILE))
 }
 
 /// Makes a scene of the living room this program carries, and parses it: something to ask about at once.

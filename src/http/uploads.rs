@@ -1,6 +1,6 @@
 //! `/v1/uploads`: scans that come in parts, in the words of tus 1.0.
 
-use super::extract::{Path, Query};
+use super::extract::{IdempotencyKey, Path, Query};
 use super::problem::Refused;
 use super::{App, Asking, tus};
 use crate::service::{Caller, NewUpload, Part};
@@ -120,13 +120,13 @@ pub async fn create(
     State(app): State<App>,
     Query(parameters): Query<UploadParameters>,
     Extension(caller): Asking,
+    IdempotencyKey(idempotency_key): IdempotencyKey,
     headers: HeaderMap,
     request: Request,
 ) -> Result<Response, Refused> {
     let length = tus::bytes(&headers, &tus::LENGTH)?;
     let tus::Metadata { header: note, pairs } = tus::metadata(&headers)?;
     let UploadParameters { name, filename, parse, up, preset } = parameters.or(UploadParameters::of(pairs)?);
-    let idempotency_key = headers.get("idempotency-key").and_then(|key| key.to_str().ok()).map(str::to_owned);
     let (parse, preset) = (parse.unwrap_or(true), preset.unwrap_or_default());
     let wanted = WantedScene { name, file_name: filename, parse, up, preset, idempotency_key, note };
     // Before there is an upload that nobody hears of.

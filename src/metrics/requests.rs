@@ -31,6 +31,7 @@ pub struct Requests {
     pub connections_limit: Gauge,
     pub connections_refused: Counter,
     pub event_streams: Gauge,
+    pub audit_entries_dropped: Counter,
 }
 
 impl Requests {
@@ -43,6 +44,7 @@ impl Requests {
             connections_limit: Gauge::default(),
             connections_refused: Counter::default(),
             event_streams: Gauge::default(),
+            audit_entries_dropped: Counter::default(),
         };
         registry.register("http_requests", "Requests by method, template of the route and status", requests.finished.clone());
         let help = "From a request's header to its answer's; bodies that are streamed take longer";
@@ -53,6 +55,8 @@ impl Requests {
         let help = "Connections turned away because all places had a request under way";
         registry.register("http_connections_refused", help, requests.connections_refused.clone());
         registry.register("http_event_streams", "Event streams open now", requests.event_streams.clone());
+        let help = "Audit entries that could not be written: too many at once, or a database that does not take them";
+        registry.register("audit_entries_dropped", help, requests.audit_entries_dropped.clone());
         requests
     }
 

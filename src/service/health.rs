@@ -22,7 +22,7 @@ impl Health {
     /// Whether the service can do its work. Without its vision-language model it can: built-in parts answer, and say so.
     #[must_use]
     pub fn is_ready(&self) -> bool {
-        let Self { store: StoreHealth { database, blobs, disk }, dead_lanes, inference, vlm: _ } = self;
+        let Self { store: StoreHealth { database, blobs, disk, is_damaged: _ }, dead_lanes, inference, vlm: _ } = self;
         let whole = [database, blobs, disk].into_iter().all(Option::is_none);
         whole && dead_lanes.is_empty() && !matches!(inference, Some(Err(_)))
     }
@@ -56,7 +56,11 @@ impl Service {
                 None => None,
             }
         };
-        let (store, inference) = tokio::join!(self.store.health(), inference);
+        let (mut store, inference) = tokio::join!(self.store.health(), inference);
+        // Not every look meets the damage, and it does not heal.
+        if let Some(before) = self.health.last().filter(|before| before.store.is_damaged) {
+            store = StoreHealth { database: before.store.database, is_damaged: true, ..store };
+        }
         let dead_lanes = self.jobs.lanes().into_iter().filter(|(_, up)| !up).map(|(kind, _)| kind).collect();
         Health { store, dead_lanes, inference, vlm: self.vlm.as_ref().map(|vlm| vlm.condition()) }
     }

@@ -107,6 +107,7 @@ pub struct Service {
     drawing: Arc<Mutex<()>>,
     /// Reads what was uploaded.
     reader: ScanReader,
+    comparisons: Arc<Semaphore>,
     /// Scans below it may be imported; `None`: nothing may.
     import_root: Option<Utf8PathBuf>,
     /// Where an inference server runs the networks.
@@ -119,6 +120,8 @@ pub struct Service {
 
 /// Uploads received at once.
 const MAX_UPLOADS: usize = 16;
+/// Comparisons of two scans that are computed at once.
+const MAX_COMPARISONS: usize = 2;
 /// Scenes looked into at once, whoever asks about many: they take few of the places at work on questions, and few connections of the database.
 const MAX_GLANCES: usize = 2;
 /// How long a question waits for its turn before the server calls itself overloaded.
@@ -131,8 +134,8 @@ impl Service {
         Self {
             metrics: jobs.metrics().clone(),
             store,
+            keys: keys.counted_by(jobs.metrics().clone()),
             jobs,
-            keys,
             limits,
             parses: Arc::default(),
             pictures: Arc::default(),
@@ -146,6 +149,7 @@ impl Service {
             growing: Arc::default(),
             drawing: Arc::default(),
             reader: ScanReader::in_process(),
+            comparisons: Arc::new(Semaphore::new(MAX_COMPARISONS)),
             import_root: None,
             inference: None,
             health: Lately::default(),

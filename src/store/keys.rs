@@ -1,6 +1,7 @@
 //! Keys of callers, what they may spend, and what was done with them.
 
 use super::database::number;
+use super::writer::Writer;
 use super::{Store, StoreError, now};
 use sqlx::any::AnyRow;
 use sqlx::{FromRow, Row};
@@ -47,6 +48,35 @@ impl FromRow<'_, AnyRow> for KeyRow {
 
 /// What a rate is told by, seconds.
 const MINUTE_S: f64 = 60.0;
+
+/// Writes audit entries. Holds connections to the database, and not the data folder: a task that has one does not keep the folder locked.
+#[derive(Clone)]
+pub struct AuditWriter(Writer);
+
+impl AuditWriter {
+    /// Writes entries in one transaction. Entries that are stored already stay as they are.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn insert(&self, entries: &[AuditEntry]) -> Result<(), StoreError> {
+        let sql = "INSERT INTO audit (id, at, key_id, method, path, status, request_id) VALUES ($1, $2, $3, $4, $5, $6, $7)
+                   ON CONFLICT (id) DO NOTHING";
+        let mut tx = self.0.begin().await?;
+        for AuditEntry { id, at, key_id, method, path, status, request_id } in entries {
+            sqlx::query(sql)
+                .bind(id)
+                .bind(at)
+                .bind(key_id)
+                .bind(method)
+                .bind(path)
+                .bind(i64::from(*status))
+                .bind(request_id)
+                .execute(&mut *tx)
+                .await?;
+        }
+        tx.commit().await
+    }
+}
 
 impl Store {
     /// # Errors
@@ -157,24 +187,10 @@ impl Store {
         Ok(number(scenes.fetch_one(&self.reader).await?)?)
     }
 
-    /// Writes down what was done.
-    ///
-    /// # Errors
-    /// [`StoreError::Database`].
-    pub async fn insert_audit_entry(&self, entry: &AuditEntry) -> Result<(), StoreError> {
-        let AuditEntry { id, at, key_id, method, path, status, request_id } = entry;
-        let sql = "INSERT INTO audit (id, at, key_id, method, path, status, request_id) VALUES ($1, $2, $3, $4, $5, $6, $7)";
-        sqlx::query(sql)
-            .bind(id)
-            .bind(at)
-            .bind(key_id)
-            .bind(method)
-            .bind(path)
-            .bind(i64::from(*status))
-            .bind(request_id)
-            .execute(self.writer.pool())
-            .await?;
-        Ok(())
+    /// Returns what writes audit entries.
+    #[must_use]
+    pub fn audit_writer(&self) -> AuditWriter {
+        AuditWriter(self.writer.clone())
     }
 
     /// What was done, newest first, before `cursor` (an id) only.

@@ -50,7 +50,7 @@ pub use figures::{Figures, JobFigures};
 pub use growth::{Continued, Grew, Growth};
 pub use health::StoreHealth;
 pub use jobs::{Hold, JobFilter, JobRow, JobState, NewJob, Queued, Recovery};
-pub use keys::KeyRow;
+pub use keys::{AuditWriter, KeyRow};
 pub use members::{Company, LEASE, Turn};
 pub use moving::{KindOfFiles, MoveError, Moved, Part, Place, Progress, move_over};
 pub use news::{News, Newsroom};
@@ -160,6 +160,20 @@ impl StoreError {
                 _ => ["08", "40", "53", "57"].contains(&&code[..2.min(code.len())]),
             }),
             Self::Together(error) => error.is_busy(),
+            _ => false,
+        }
+    }
+
+    /// Whether SQLite found its file damaged.
+    #[must_use]
+    pub fn is_damaged(&self) -> bool {
+        match self {
+            // SQLITE_CORRUPT and SQLITE_NOTADB, whatever their extended code; SQLITE_IOERR_SHORT_READ. PostgreSQL's codes have five characters.
+            Self::Database(error) => code(error).is_some_and(|code| {
+                let number = code.parse::<i32>().ok().filter(|_| code.len() < 5);
+                number.is_some_and(|number| matches!(number & 0xff, 11 | 26) || number == 522)
+            }),
+            Self::Together(error) => error.is_damaged(),
             _ => false,
         }
     }

@@ -68,6 +68,25 @@ pub async fn run(form: Form, report: &mut Report) {
     );
     drop(crowd);
 
+    let dripping = form.of(1100, 3000);
+    let mut crowd = Vec::new();
+    for _ in 0..dripping {
+        let head = "POST /mcp HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/json\r\n\
+            accept: application/json, text/event-stream\r\ncontent-length: 60000\r\n\r\n ";
+        crowd.extend(say(&address, head).await);
+    }
+    let fresh = Client::new(&format!("http://{address}"), None).unwrap();
+    let (p99, longest) = questions(&fresh, &scene.id, count).await;
+    report.row(
+        &format!("5 {dripping} bodies that drip"),
+        &format!("p99 {p99:.1}, longest {longest:.0} ms"),
+        0.0,
+        Some(target.peak_mb()),
+        "",
+        p99 < most,
+    );
+    drop(crowd);
+
     let stalled = form.of(300, 1000);
     let mut crowd = Vec::new();
     for _ in 0..stalled {

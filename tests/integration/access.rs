@@ -5,10 +5,6 @@ use camino::Utf8Path;
 use reqwest::Method;
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
-use std::time::Duration;
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::TcpStream;
-use uniground::config::LimitsConfig;
 use uniground_client::Client;
 
 const KEY: &str = "ug_0123456789abcdef";
@@ -59,36 +55,6 @@ async fn with_a_key_every_route_but_health_and_the_description_wants_it() {
     assert_eq!(known.scenes(1, None).await.unwrap().scenes, []);
     let process = Process { client: known, child };
     assert_eq!(process.terminate(), Some(0));
-}
-
-/// Who finds all places taken by requests under way is told so, as a problem like any other.
-#[tokio::test]
-async fn past_the_last_connection_there_is_a_polite_word() {
-    let server = TestServer::start_with(LimitsConfig { max_connections: 8, ..LimitsConfig::default() }).await;
-    let address = server.url().trim_start_matches("http://").to_owned();
-    let mut stalled = Vec::new();
-    for _ in 0..8 {
-        let mut stream = TcpStream::connect(&address).await.unwrap();
-        let head = b"POST /v1/scenes HTTP/1.1\r\nhost: 127.0.0.1\r\ncontent-type: application/zip\r\ncontent-length: 9\r\n\r\n";
-        stream.write_all(head).await.unwrap();
-        stalled.push(stream);
-    }
-    // Until all of them are under way: one half way through its header would give its place away.
-    tokio::time::sleep(Duration::from_secs(2)).await;
-    let mut told = String::new();
-    TcpStream::connect(&address).await.unwrap().read_to_string(&mut told).await.unwrap();
-    let (head, body) = told.split_once("\r\n\r\n").unwrap();
-    let problem: uniground_types::problem::Problem = serde_json::from_str(body).unwrap();
-    assert!(head.starts_with("HTTP/1.1 503") && head.contains("retry-after: 1"), "{head}");
-    assert_eq!((problem.status, problem.code.as_str()), (503, "overloaded"));
-    drop(stalled);
-    let mut tries = 0;
-    while server.client.bytes("readyz").await.is_err() {
-        tries += 1;
-        assert!(tries < 100, "places that were left are given again");
-        tokio::time::sleep(Duration::from_millis(100)).await;
-    }
-    server.stop().await;
 }
 
 #[tokio::test]

@@ -83,6 +83,25 @@ fn refused() -> Vec<Case> {
         ("a zip cut short", ZIP, truncated, 422, "archive_unreadable", "zip"),
         ("a path out of the archive", ZIP, zip_with_entry("../../evil.txt"), 422, "archive_entry_unsafe", "evil.txt"),
         ("an absolute path", ZIP, zip_with_entry("/etc/evil"), 422, "archive_entry_unsafe", "/etc/evil"),
+        (
+            "a list of parts of its own",
+            ZIP,
+            scan()
+                .with("grown.json", r#"{"format": "uniground-grown/1", "parts": [{"hash": "a"}, {"hash": "b"}]}"#)
+                .zip(),
+            422,
+            "archive_entry_unsafe",
+            "grown.json",
+        ),
+        (
+            "parts of its own",
+            ZIP,
+            scan().with("parts/0/pose/0.txt", "x").zip(),
+            422,
+            "archive_entry_unsafe",
+            "parts/0/pose/0.txt",
+        ),
+        ("checksums of its own", ZIP, scan().with(".sha256sums", "x").zip(), 422, "archive_entry_unsafe", ".sha256sums"),
         ("holiday photos", ZIP, zip_with_entry("beach.jpg"), 422, "unknown_layout", "beach.jpg"),
         ("no intrinsics", ZIP, scan().without("intrinsic.txt").zip(), 422, "intrinsics_missing", "intrinsic.txt"),
         (

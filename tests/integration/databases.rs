@@ -1,11 +1,15 @@
 //! Which database goes with which folder. That PostgreSQL works is shown by all other tests (`make test-postgres`).
 
 use crate::archives::Scan;
-use crate::server::{TestServer, ask, location, problem};
+use crate::server::{TestServer, ask, location, problem, rows};
 use camino::Utf8Path;
 use reqwest::Method;
 use serde_json::Value;
+use sqlx::Connection;
+use std::fs;
 use std::process::{Command, Output};
+use std::time::Duration;
+use tokio::time::sleep;
 use uniground::store::Location;
 
 fn serve(data: &Utf8Path, database: &str) -> Output {
@@ -79,5 +83,37 @@ async fn what_may_be_left_out_is_kept_when_it_is_said() {
         let request = serde_json::from_value(serde_json::json!({"items": [item], "max_cost_usd": max_cost_usd})).unwrap();
         server.client.create_batch(&request, None).await.unwrap();
     }
+    server.stop().await;
+}
+
+/// A file that lost its end is found by whoever asks whether the server is ready, not by whoever asks a question.
+#[tokio::test]
+async fn a_database_file_that_was_cut_short_is_not_ready() {
+    let server = TestServer::start().await;
+    if matches!(location(server.data()), Location::Postgres(_)) {
+        eprintln!("left out: PostgreSQL watches over its own files");
+        return server.stop().await;
+    }
+    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    server.client.ground(&scene, &ask("the red sofa")).await.unwrap();
+    assert!(server.client.bytes("readyz").await.is_ok());
+    let mut rows = rows(server.data()).await;
+    sqlx::query("PRAGMA wal_checkpoint(FULL)").execute(&mut rows).await.unwrap();
+    rows.close().await.unwrap();
+    let file = fs::OpenOptions::new().write(true).open(server.data().join("uniground.sqlite")).unwrap();
+    file.set_len(file.metadata().unwrap().len() / 2).unwrap();
+    // Within the second for which health is known.
+    let mut tries = 0;
+    let response = loop {
+        let response = server.client.request(Method::GET, "readyz").send().await.unwrap();
+        if response.status() != 200 || tries == 50 {
+            break response;
+        }
+        tries += 1;
+        sleep(Duration::from_millis(100)).await;
+    };
+    assert_eq!(response.status(), 503);
+    let readiness: Value = response.json().await.unwrap();
+    assert!(readiness["database"].as_str().unwrap().contains("damaged"), "{readiness}");
     server.stop().await;
 }

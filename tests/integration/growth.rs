@@ -2,6 +2,7 @@
 
 use crate::archives::{EIGHTHS, Scan, THINGS, Thing};
 use crate::server::{TestServer, ask, finished, problem};
+use futures::future::join_all;
 use reqwest::Method;
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -214,6 +215,7 @@ async fn frames_of_another_place_or_none_are_refused_and_nothing_changes() {
         (Scan::cloud_only().zip(), "no_usable_frames"),
         (Scan::frames_only().without("intrinsic.txt").zip(), "intrinsics_missing"),
         (b"no archive".to_vec(), "archive_unreadable"),
+        (Scan::frames_only().with("grown.json", "{}").zip(), "archive_entry_unsafe"),
     ] {
         let refused = problem(client.add_frames(&scene.id, FrameChoice::Source, frames).await);
         assert_eq!((refused.code.as_str(), refused.status), (code, 422), "{refused:?}");
@@ -307,5 +309,24 @@ async fn two_scans_of_a_room_are_laid_over_each_other_and_compared() {
         .await;
     let refused = problem(client.changes_to(&first.id, &far.id, true).await);
     assert_eq!(refused.code, "scans_apart", "{refused:?}");
+    server.stop().await;
+}
+
+/// Comparing two scans is work for seconds: few are compared at once, the others are told to come again.
+#[tokio::test(flavor = "multi_thread")]
+async fn few_scans_are_compared_at_once() {
+    let server = TestServer::start().await;
+    let first = server.parsed(Scan::of_room(&THINGS, &EIGHTHS).zip()).await;
+    let second = server.parsed(Scan::of_room(&THINGS, &BETWEEN).zip()).await;
+    let compared = (0..40).map(|_| server.client.changes_to(&first.id, &second.id, false));
+    let (done, refused): (Vec<_>, Vec<_>) = join_all(compared).await.into_iter().partition(Result::is_ok);
+    let counts = (done.len(), refused.len());
+    for refused in refused {
+        let refused = problem(refused);
+        assert_eq!((refused.status, refused.code.as_str()), (429, "overloaded"), "{refused:?}");
+    }
+    assert!(counts.0 > 0 && counts.1 > 0, "{counts:?} were compared and refused");
+    // And there is room again.
+    assert!(server.client.changes_to(&first.id, &second.id, false).await.is_ok());
     server.stop().await;
 }

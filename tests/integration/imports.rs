@@ -63,6 +63,14 @@ async fn what_lies_on_the_servers_disk_needs_no_upload() {
     let refused = problem(client.import_scene(&ImportRequest::of("nothing")).await);
     assert_eq!((refused.status, refused.errors[0].pointer.as_str()), (422, "/path"), "{refused:?}");
     assert!(!refused.detail.contains(disk.path().to_str().unwrap()), "{}", refused.detail);
+    fs::write(root.join("room/grown.json"), "{}").unwrap();
+    let refused = problem(client.import_scene(&ImportRequest::of("room")).await);
+    assert_eq!((refused.status, refused.code.as_str()), (422, "archive_entry_unsafe"), "{refused:?}");
+    for metres in ["0", "-1", "1e300"] {
+        let body = format!(r#"{{"path": "room.zip", "metres_per_unit": {metres}}}"#);
+        let refused = post_raw(client, "v1/scenes/import", "application/json", &body).await;
+        assert_eq!((refused.status, refused.errors[0].pointer.as_str()), (422, "/metres_per_unit"), "{metres}: {refused:?}");
+    }
     let refused = post_raw(client, "v1/scenes/import", "application/json", r#"{"file": "room.zip"}"#).await;
     assert_eq!((refused.status, refused.code.as_str()), (422, "invalid_request"));
     assert_eq!(process.terminate(), Some(0));

@@ -44,6 +44,7 @@ const PACKAGES: [(&str, Floors); 3] = [
             &["approach", "changes", "graph", "many", "scenes", "instances", "service", "stats", "transcript", "batch", "keys", "uploads"],
             &["answer", "corrections", "links", "question", "settings", "job", "models"],
             &["labels", "placement"],
+            &["numbers"],
             &["scene", "problem"],
             &["geometry"],
         ],

@@ -46,6 +46,7 @@ mod script;
 mod server;
 mod session;
 mod shared_scenes;
+mod slow_clients;
 mod snapshots;
 mod stage_one;
 mod streaming;

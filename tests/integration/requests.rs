@@ -3,6 +3,10 @@
 use crate::archives::Scan;
 use crate::server::{TestServer, ask, post_raw, problem};
 use reqwest::Method;
+use serde_json::Value;
+use uniground_types::placement::SceneToMap;
+use uniground_types::problem::Problem;
+use uniground_types::scenes::SceneChange;
 
 #[tokio::test]
 async fn wrong_questions_are_named_by_field() {
@@ -102,6 +106,103 @@ async fn wrong_methods_parameters_and_settings_are_problems() {
         assert_eq!((refusal.status, refusal.errors[0].pointer.as_str()), (422, pointer), "{}", refusal.detail);
     }
     assert_eq!(problem(server.client.rename_scene(&scene.id, " ").await).errors[0].pointer, "/name");
+    server.stop().await;
+}
+
+/// The words `NaN` and `inf` are numbers to whoever reads a query, and a large number in JSON is an infinite `f32`.
+#[tokio::test]
+async fn numbers_that_are_none_are_refused_by_field() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await;
+    for word in ["NaN", "nan", "inf", "-inf", "infinity", "1e999", "-1"] {
+        for (method, path, pointer) in [
+            (Method::POST, format!("v1/scenes?metres_per_unit={word}"), "metres_per_unit"),
+            (Method::POST, format!("v1/batches?max_cost_usd={word}"), "/max_cost_usd"),
+            (Method::GET, format!("v1/scenes/{}/floor?height_m={word}", scene.id), "height_m"),
+            (Method::GET, format!("v1/scenes/{}/floor.png?height_m={word}", scene.id), "height_m"),
+        ] {
+            let request = server.client.request(method, &path).header("content-type", "application/jsonl").body("{}");
+            let refusal: Problem = request.send().await.unwrap().json().await.unwrap();
+            assert_eq!((refusal.status, refusal.errors[0].pointer.as_str()), (422, pointer), "{path}: {}", refusal.detail);
+        }
+    }
+    for metres in ["0", "0.0000001", "1e7"] {
+        let path = format!("v1/scenes?metres_per_unit={metres}");
+        let refusal = post_raw(&server.client, &path, "application/zip", "PK").await;
+        assert_eq!((refusal.status, refusal.errors[0].pointer.as_str()), (422, "metres_per_unit"), "{}", refusal.detail);
+    }
+    let (scene, robot) = (&scene.id, r#""radius_m": 0.25, "height_m": 1.3, "eye_height_m": 1.2"#);
+    for (path, body, pointer) in [
+        ("ground", r#"{"query": "a", "min_confidence": 1e39}"#.to_owned(), "/min_confidence"),
+        ("ground", r#"{"query": "a", "timeout_s": 1e39}"#.into(), "/timeout_s"),
+        (
+            "ground",
+            r#"{"query": "a", "observer": {"position": [0, 0, 1e10], "yaw_rad": 0}}"#.into(),
+            "/observer/position",
+        ),
+        (
+            "ground",
+            r#"{"query": "a", "observer": {"position": [0, 0, 0], "yaw_rad": 1e39}}"#.into(),
+            "/observer/yaw_rad",
+        ),
+        ("approach", format!(r#"{{"instance_id": 1, "robot": {{{robot}}}, "from": {{"x": 1e300, "y": 0}}}}"#), "/from"),
+        (
+            "approach",
+            format!(r#"{{"instance_id": 1, "robot": {{{robot}}}, "max_distance_m": 1e39}}"#),
+            "/max_distance_m",
+        ),
+        ("parse", r#"{"settings": {"import": {"metres_per_unit": 1e300}}}"#.into(), "/settings/import/metres_per_unit"),
+    ] {
+        let refusal = post_raw(&server.client, &format!("v1/scenes/{scene}/{path}"), "application/json", &body).await;
+        assert_eq!((refusal.status, refusal.errors[0].pointer.as_str()), (422, pointer), "{body}: {}", refusal.detail);
+    }
+    let place = SceneToMap { rotation: [0.0, 0.0, 0.0, 1.0], translation_m: [1e300, 0.0, 0.0] };
+    let change = SceneChange { scene_to_map: Some(Some(place)), ..SceneChange::default() };
+    assert_eq!(problem(server.client.change_scene(scene, &change).await).errors[0].pointer, "/scene_to_map/translation_m");
+    server.stop().await;
+}
+
+/// On every route that takes one, by the description.
+#[tokio::test]
+async fn an_idempotency_key_that_is_none_is_refused_by_name() {
+    let server = TestServer::start().await;
+    let description: Value = serde_json::from_slice(&server.client.bytes("openapi.json").await.unwrap()).unwrap();
+    let mut routes = 0;
+    for (path, operations) in description["paths"].as_object().unwrap() {
+        let takes_key = |operation: &Value| {
+            operation["parameters"]
+                .as_array()
+                .is_some_and(|all| all.iter().any(|p| p["name"] == "Idempotency-Key"))
+        };
+        if !takes_key(&operations["post"]) {
+            continue;
+        }
+        routes += 1;
+        let path = path.trim_start_matches('/').replace("{scene_id}", "018f0000-0000-7000-8000-000000000000");
+        for key in [String::new(), "k".repeat(256), "k".repeat(60_000)] {
+            let request = server.client.request(Method::POST, &path).header("idempotency-key", &key);
+            let request = request.header("tus-resumable", "1.0.0").header("content-type", "application/json");
+            let refusal: Problem = request.header("upload-length", "7").body("{}").send().await.unwrap().json().await.unwrap();
+            let named = refusal.errors.first().map(|error| error.pointer.as_str());
+            assert_eq!((refusal.status, named), (422, Some("Idempotency-Key")), "{path}, {} bytes: {}", key.len(), refusal.detail);
+        }
+    }
+    assert!(routes >= 6, "only {routes} routes found");
+    server.stop().await;
+}
+
+/// Cursors are ids as they are given out: in braces or capitals they would be compared as other texts.
+#[tokio::test]
+async fn a_cursor_that_is_none_is_refused_by_name() {
+    let server = TestServer::start().await;
+    let id = "01a1ff70-0000-7000-8000-00000000000a";
+    for list in ["v1/scenes", "v1/answers", "v1/jobs", "v1/batches", "v1/keys", "v1/audit"] {
+        for cursor in ["%7B%7D".into(), format!("%7B{id}%7D"), id.to_uppercase(), format!("urn:uuid:{id}"), "x".into(), String::new()] {
+            let refusal = problem(server.client.bytes(&format!("{list}?cursor={cursor}")).await);
+            assert_eq!((refusal.status, refusal.errors[0].pointer.as_str()), (422, "cursor"), "{list} {cursor:?}");
+        }
+        assert!(server.client.bytes(&format!("{list}?cursor={id}")).await.is_ok(), "{list}");
+    }
     server.stop().await;
 }
 

@@ -3,6 +3,8 @@
 use crate::archives::Scan;
 use crate::server::{Process, ask, finished, parsed};
 use camino::Utf8Path;
+use std::fs;
+use std::process::Command;
 use uniground::store::JobState;
 use uniground_types::scenes::SceneStatus;
 
@@ -48,4 +50,21 @@ async fn a_stopped_server_goes_on_with_its_queue() {
         assert_eq!(server.client.scene(&scene).await.unwrap().status, SceneStatus::Ready);
     }
     assert_eq!(server.terminate(), Some(0));
+}
+
+/// A terminal that is closed stops a server as properly as SIGTERM does.
+#[tokio::test]
+async fn a_hangup_stops_a_server_cleanly() {
+    const SIGHUP_BIT: u64 = 1;
+    let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let ignored = status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
+    if ignored.is_some_and(|mask| mask & SIGHUP_BIT != 0) {
+        eprintln!("left out: these tests run under nohup");
+        return;
+    }
+    let data = tempfile::tempdir().unwrap();
+    let mut server = Process::start(Utf8Path::from_path(data.path()).unwrap());
+    assert!(server.client.bytes("healthz").await.is_ok());
+    Command::new("kill").args(["-HUP", &server.child.id().to_string()]).status().unwrap();
+    assert_eq!(server.child.wait().unwrap().code(), Some(0));
 }

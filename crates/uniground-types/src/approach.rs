@@ -2,6 +2,7 @@
 
 use crate::answer::{CoordinateFrame, Status};
 use crate::geometry::boxes::{Aabb, OrientedBox};
+use crate::numbers;
 use crate::placement::{FrameChoice, SceneToFrame, Stamp};
 use crate::problem::FieldError;
 use crate::question::check_query;
@@ -131,17 +132,15 @@ impl ApproachRequest {
             _ => return Err(FieldError::new("", "one of instance_id and query is wanted")),
         }
         let Robot { radius_m, height_m, eye_height_m, reach_m } = self.robot;
-        above_zero("/robot/radius_m", radius_m, MAX_RADIUS_M)?;
+        numbers::above_zero("/robot/radius_m", radius_m, MAX_RADIUS_M)?;
         check_height("/robot/height_m", height_m)?;
-        above_zero("/robot/eye_height_m", eye_height_m, MAX_HEIGHT_M)?;
+        numbers::above_zero("/robot/eye_height_m", eye_height_m, MAX_HEIGHT_M)?;
         if eye_height_m > height_m {
             return Err(FieldError::new("/robot/eye_height_m", "must not be above height_m"));
         }
-        reach_m.map_or(Ok(()), |reach| above_zero("/robot/reach_m", reach, MAX_REACH_M))?;
-        if self.from.is_some_and(|FloorPoint { x, y, z }| !(x.is_finite() && y.is_finite() && z.is_finite())) {
-            return Err(FieldError::new("/from", "x, y and z must be finite"));
-        }
-        above_zero("/max_distance_m", self.max_distance_m, MAX_DISTANCE_M)?;
+        reach_m.map_or(Ok(()), |reach| numbers::above_zero("/robot/reach_m", reach, MAX_REACH_M))?;
+        self.from.map_or(Ok(()), |FloorPoint { x, y, z }| numbers::coordinates("/from", &[x, y, z]))?;
+        numbers::above_zero("/max_distance_m", self.max_distance_m, MAX_DISTANCE_M)?;
         if !(0.0..=self.max_distance_m).contains(&self.min_distance_m) {
             return Err(FieldError::new("/min_distance_m", "must be 0 or more, and not above max_distance_m"));
         }
@@ -161,17 +160,7 @@ pub fn check_map_height(height_m: f32) -> Result<(), FieldError> {
 }
 
 fn check_height(pointer: &str, height_m: f32) -> Result<(), FieldError> {
-    match (MIN_HEIGHT_M..=MAX_HEIGHT_M).contains(&height_m) {
-        true => Ok(()),
-        false => Err(FieldError::new(pointer, format!("must be {MIN_HEIGHT_M} to {MAX_HEIGHT_M}"))),
-    }
-}
-
-fn above_zero(pointer: &str, value: f32, most: f32) -> Result<(), FieldError> {
-    match value > 0.0 && value <= most {
-        true => Ok(()),
-        false => Err(FieldError::new(pointer, format!("must be above 0 and at most {most}"))),
-    }
+    numbers::in_range(pointer, height_m, MIN_HEIGHT_M..=MAX_HEIGHT_M)
 }
 
 /// Whether there is a place to stand.

@@ -21,6 +21,7 @@ pub mod labels;
 pub mod links;
 pub mod many;
 pub mod models;
+pub mod numbers;
 pub mod placement;
 pub mod problem;
 pub mod question;

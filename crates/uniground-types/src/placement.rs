@@ -1,6 +1,7 @@
 //! Other coordinates than the scene's: those of the files that were uploaded, and those of somebody's map. And who stands there.
 
 use crate::geometry::boxes::OrientedBox;
+use crate::numbers;
 use crate::problem::FieldError;
 use crate::scene::{InstanceId, SourceToScene};
 use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
@@ -55,10 +56,7 @@ impl SceneToMap {
         if !(length.is_finite() && (length - 1.0).abs() <= ROUNDED) {
             return Err(FieldError::new("/scene_to_map/rotation", "it must be a unit quaternion x, y, z, w"));
         }
-        match self.translation_m.iter().all(|v| v.is_finite()) {
-            true => Ok(()),
-            false => Err(FieldError::new("/scene_to_map/translation_m", "it must be finite")),
-        }
+        numbers::coordinates("/scene_to_map/translation_m", &self.translation_m)
     }
 }
 

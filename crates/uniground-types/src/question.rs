@@ -1,5 +1,6 @@
 //! What may be asked, and how.
 
+use crate::numbers;
 pub use crate::placement::{FrameChoice, Observer};
 use crate::problem::FieldError;
 use serde::{Deserialize, Serialize};
@@ -303,9 +304,6 @@ fn default_top_k() -> u32 {
     5
 }
 
-/// No coordinate of somebody who stands somewhere is further out, whatever its units.
-const FARTHEST: f64 = 1e9;
-
 impl GroundRequest {
     /// A question with everything else at its default.
     #[must_use]
@@ -336,21 +334,13 @@ impl GroundRequest {
     pub fn check(&self) -> Result<(), FieldError> {
         check_query(&self.query)?;
         check_top_k(self.top_k)?;
-        if let Some(observer) = &self.observer
-            && !(observer.yaw_rad.is_finite() && observer.position.iter().all(|v| v.abs() <= FARTHEST))
-        {
-            return Err(FieldError::new("/observer", "position must be within a billion of the origin, and yaw_rad finite"));
+        if let Some(Observer { position, yaw_rad }) = &self.observer {
+            numbers::coordinates("/observer/position", position)?;
+            numbers::finite("/observer/yaw_rad", f64::from(*yaw_rad))?;
         }
-        if self.min_confidence.is_some_and(|least| !(0.0..=1.0).contains(&least)) {
-            return Err(FieldError::new("/min_confidence", "must be between 0 and 1"));
-        }
-        if self.max_cost_usd.is_some_and(|cost| !cost.is_finite() || cost < 0.0) {
-            return Err(FieldError::new("/max_cost_usd", "must be 0 or more"));
-        }
-        if self.timeout_s.is_some_and(|t| !t.is_finite() || t <= 0.0 || t > MAX_TIMEOUT_S) {
-            return Err(FieldError::new("/timeout_s", format!("must be above 0 and at most {MAX_TIMEOUT_S}")));
-        }
-        Ok(())
+        self.min_confidence.map_or(Ok(()), |least| numbers::in_range("/min_confidence", least, 0.0..=1.0))?;
+        self.max_cost_usd.map_or(Ok(()), |usd| numbers::zero_or_more("/max_cost_usd", usd))?;
+        self.timeout_s.map_or(Ok(()), |seconds| numbers::above_zero("/timeout_s", seconds, MAX_TIMEOUT_S))
     }
 }
 

@@ -8,9 +8,6 @@ use tracing::Instrument;
 use uniground_types::answer::Answer;
 use uniground_types::question::{GroundRequest, ParserChoice, ReasonerChoice};
 
-/// Longest idempotency key, bytes.
-const LONGEST_KEY: usize = 256;
-
 impl Service {
     /// Grounds one question under an idempotency key; whether the answer was given before. The question is answered to its end even if
     /// whoever asked has gone: they will come again.
@@ -18,10 +15,6 @@ impl Service {
     /// # Errors
     /// As [`ground`](Self::ground); [`Error::IdempotencyKeyReused`].
     pub async fn ground_once(&self, scene_id: &str, request: GroundRequest, caller: Caller, key: String) -> Result<(Answer, bool), Error> {
-        let is_readable = key.bytes().all(|byte| byte.is_ascii_graphic() || byte == b' ');
-        if key.is_empty() || key.len() > LONGEST_KEY || !is_readable {
-            return Err(Error::invalid("Idempotency-Key", format!("it has 1 to {LONGEST_KEY} visible ASCII characters")));
-        }
         let (service, scene_id) = (self.clone(), scene_id.to_owned());
         let answering = async move { service.ground_keyed(&scene_id, request, caller, &key).await };
         tokio::spawn(answering.in_current_span()).await?

@@ -10,9 +10,8 @@ use bytes::Bytes;
 use futures::{Stream, StreamExt};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
-use std::time::Duration;
-use tokio::time::timeout;
 use uniground_types::batch::{Batch, BatchRequest};
+use uniground_types::numbers::zero_or_more;
 use uniground_types::question::GroundRequest;
 
 /// What comes with a batch.
@@ -37,8 +36,6 @@ pub enum Body<S> {
 const TOGETHER: usize = 500;
 /// No question needs a longer line.
 const MAX_LINE_BYTES: usize = 64 << 10;
-/// A sender that says nothing for so long has left.
-const SILENCE: Duration = Duration::from_secs(20);
 
 impl Submission {
     /// Splits a JSON request into what comes with it and its items.
@@ -52,9 +49,7 @@ impl Submission {
         if self.concurrency.is_some_and(|c| !(1..=MAX_CONCURRENCY).contains(&c)) {
             return Err(Error::invalid("/concurrency", format!("must be 1 to {MAX_CONCURRENCY}")));
         }
-        if self.max_cost_usd.is_some_and(|usd| !usd.is_finite() || usd < 0.0) {
-            return Err(Error::invalid("/max_cost_usd", "must be 0 or more"));
-        }
+        self.max_cost_usd.map_or(Ok(()), |usd| zero_or_more("/max_cost_usd", usd))?;
         if self
             .label
             .as_ref()
@@ -142,7 +137,7 @@ impl Receiving<'_> {
         let mut rest: Vec<u8> = Vec::new();
         let mut received = 0;
         let left = |received| Error::UploadInterrupted { received };
-        while let Some(chunk) = timeout(SILENCE, lines.next()).await.map_err(|_| left(received))? {
+        while let Some(chunk) = lines.next().await {
             let chunk = chunk.map_err(|_| left(received))?;
             received += chunk.len() as u64;
             let mut parts = chunk.split(|byte| *byte == b'\n');

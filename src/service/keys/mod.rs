@@ -10,7 +10,9 @@ pub use audit::Done;
 pub use links::{LinkSecret, PARAMETER as LINK_PARAMETER};
 
 use crate::error::Error;
+use crate::metrics::Metrics;
 use crate::store::{KeyRow, Store, now, page};
+use audit::AuditLog;
 use base64::Engine;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
 use governor::clock::{Clock, DefaultClock};
@@ -23,6 +25,7 @@ use std::num::NonZeroU32;
 use std::sync::{Arc, Mutex, PoisonError, RwLock};
 use std::time::{Duration, Instant};
 use uniground_types::keys::{CreatedKey, Key, KeyList, NewKey, Scope};
+use uniground_types::numbers::zero_or_more;
 
 /// Characters of a secret by which it is found: `ug_` and eight more.
 const PREFIX_CHARS: usize = 11;
@@ -141,6 +144,7 @@ pub struct Keyring {
     /// By prefix.
     known: Arc<RwLock<HashMap<String, Arc<KnownKey>>>>,
     link_secret: LinkSecret,
+    audit_log: AuditLog,
 }
 
 impl Keyring {
@@ -151,7 +155,15 @@ impl Keyring {
     pub async fn open(store: Store, own: Option<&str>) -> Result<Self, Error> {
         let known = store.all_keys().await?.into_iter().map(|row| (row.prefix.clone(), KnownKey::of(row))).collect();
         let own = own.map(|key| hash_of(key).into());
-        Ok(Self { store, own, known: Arc::new(RwLock::new(known)), link_secret: LinkSecret::random()? })
+        let audit_log = AuditLog::start(store.audit_writer(), Arc::default());
+        Ok(Self { store, own, known: Arc::new(RwLock::new(known)), link_secret: LinkSecret::random()?, audit_log })
+    }
+
+    /// Counts audit entries that are dropped in these metrics.
+    #[must_use]
+    pub fn counted_by(self, metrics: Arc<Metrics>) -> Self {
+        let audit_log = AuditLog::start(self.store.audit_writer(), metrics);
+        Self { audit_log, ..self }
     }
 
     /// Reads anew what other processes may have changed. A key that is as it was keeps the count of its requests.
@@ -363,9 +375,7 @@ fn check(new: &NewKey) -> Result<Option<String>, Error> {
     if new.requests_per_minute == Some(0) {
         return Err(Error::invalid("/requests_per_minute", "must be at least 1; to refuse all of them, revoke the key"));
     }
-    if new.daily_usd.is_some_and(|usd| !usd.is_finite() || usd < 0.0) {
-        return Err(Error::invalid("/daily_usd", "must be 0 or more"));
-    }
+    new.daily_usd.map_or(Ok(()), |usd| zero_or_more("/daily_usd", usd))?;
     let Some(at) = &new.expires_at else { return Ok(None) };
     let at: Timestamp = at.parse().map_err(|_| Error::invalid("/expires_at", "must be a time like 2027-01-31T00:00:00Z"))?;
     if at <= Timestamp::now() {

@@ -1,20 +1,26 @@
 //! What changed in a scene: since an earlier version, or from one scan of a room to another.
 
 use crate::error::Error;
-use crate::service::Service;
 use crate::service::answers::StoredScene;
 use crate::service::parses::read_frames;
+use crate::service::{MAX_COMPARISONS, Service};
 use crate::store::{Kept as KeptFolder, SceneRow};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
+use tokio::task::spawn_blocking;
+use tokio_util::sync::CancellationToken;
 use uniground_core::changes::{Aligned, Counterparts, Look, SAME_PLACE_M, align, compare, pairs};
 use uniground_core::geometry::{Isometry3, Vector3};
 use uniground_core::grounding::pipeline::SceneSource;
 use uniground_core::progress::Progress;
 use uniground_core::render::RenderScene;
 use uniground_core::scene::{FrameRef, InstanceId, Owners};
+use uniground_core::scene_parsing::ParseError;
 use uniground_types::changes::{Changes, ScanAlignment, SceneChanges, SceneVersion};
 use uniground_types::placement::SceneToFrame;
 
+/// The longest time that two scans are compared for.
+const COMPARISON_TIMEOUT: Duration = Duration::from_mins(1);
 /// Share of the first scan's points that must lie on the second.
 const LEAST_OVERLAP: f32 = 0.2;
 
@@ -51,14 +57,30 @@ impl Service {
     /// What is different in another scan of the same room. The first guess of how the two lie to each other is their places in the same
     /// map, else that they were told in one world; `refine` lays the clouds over each other from there.
     ///
+    /// Few are computed at once, not for long, and only as long as the caller waits.
+    ///
     /// # Errors
-    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ScansApart`].
+    /// [`Error::SceneNotFound`], [`Error::SceneNotReady`], [`Error::ScansApart`]; [`Error::TooMany`], [`Error::ComparisonTimedOut`].
     pub async fn changes_to(&self, scene_id: &str, to_id: &str, refine: bool) -> Result<SceneChanges, Error> {
+        let permit = self.comparisons.clone().try_acquire_owned();
+        let permit = permit.map_err(|_| Error::TooMany { what: "comparisons of scans", most: MAX_COMPARISONS })?;
         let (from_row, from) = self.stored_scene(scene_id).await?;
         let (to_row, to) = self.stored_scene(to_id).await?;
         let guess = in_one_map(&from_row, &to_row);
-        let compared = self.draw(from, move |_, from| compared(from, &to, &guess, refine)).await;
-        let (alignment, changes) = compared?;
+        let (caller_left, deadline) = (CancellationToken::new(), Instant::now() + COMPARISON_TIMEOUT);
+        let _caller = caller_left.clone().drop_guard();
+        let progress = Progress::new(|_, _| {}, move || caller_left.is_cancelled() || Instant::now() >= deadline);
+        let compared = spawn_blocking(move || {
+            let _permit = permit;
+            compared(&from, &to, &guess, refine, &progress)
+        });
+        let (alignment, changes) = match compared.await? {
+            Ok(compared) => compared,
+            Err(Error::Parse(ParseError::Cancelled(_))) => {
+                return Err(Error::ComparisonTimedOut { seconds: COMPARISON_TIMEOUT.as_secs() });
+            }
+            Err(error) => return Err(self.after_damage(error).await),
+        };
         Ok(SceneChanges { from: version(&from_row), to: version(&to_row), alignment: Some(alignment), changes })
     }
 
@@ -86,20 +108,24 @@ fn in_one_map(from: &SceneRow, to: &SceneRow) -> Isometry3<f32> {
     Isometry3::from_parts(origin.cast::<f32>().into(), nalgebra::UnitQuaternion::from_rotation_matrix(&rotation).cast())
 }
 
-fn compared(from: &StoredScene, to: &StoredScene, guess: &Isometry3<f32>, refine: bool) -> Result<(ScanAlignment, Changes), Error> {
-    let silent = Progress::silent();
+fn compared(
+    from: &StoredScene,
+    to: &StoredScene,
+    guess: &Isometry3<f32>,
+    refine: bool,
+    progress: &Progress,
+) -> Result<(ScanAlignment, Changes), Error> {
     let (before, after) = (Kept::of(from)?, Kept::of(to)?);
-    let Aligned { place, overlap, rms_m } = align(&before.scene.cloud, &after.scene.cloud, guess, refine, &silent).unwrap_or(Aligned {
-        place: *guess,
-        overlap: 0.0,
-        rms_m: 0.0,
-    });
+    let aligned = align(&before.scene.cloud, &after.scene.cloud, guess, refine, progress);
+    let Aligned { place, overlap, rms_m } = aligned.map_err(ParseError::from)?;
     if overlap < LEAST_OVERLAP {
         return Err(Error::ScansApart { overlap });
     }
-    let counterparts = Counterparts::nearest(&before.scene.cloud.positions, &after.scene.cloud.positions, &place, SAME_PLACE_M);
+    let (positions_before, positions_after) = (&before.scene.cloud.positions, &after.scene.cloud.positions);
+    let counterparts = Counterparts::nearest(positions_before, positions_after, &place, SAME_PLACE_M, progress);
+    let counterparts = counterparts.map_err(ParseError::from)?;
     let same = pairs(&before.owner_of_point, &after.owner_of_point, &counterparts);
-    let changes = compare(&before.look(from), &after.look(to), &same, &counterparts, &place, &silent)?;
+    let changes = compare(&before.look(from), &after.look(to), &same, &counterparts, &place, progress)?;
     let turn = place.rotation.cast::<f64>();
     let alignment = ScanAlignment {
         rotation: [turn.i, turn.j, turn.k, turn.w],

@@ -14,7 +14,7 @@ use tokio::task::spawn_blocking;
 use tokio_util::io::ReaderStream;
 use uniground_types::job::Job;
 use uniground_types::scenes::{ImportRequest, Scene};
-use uniground_types::settings::{ImportSettings, ParseSettings};
+use uniground_types::settings::{ImportSettings, ParseSettings, check_metres_per_unit};
 
 /// Of a folder that is packed, sent together; and how many such pieces may wait.
 const CHUNK_BYTES: usize = 256 << 10;
@@ -40,6 +40,7 @@ impl Service {
     ) -> Result<(Scene, Option<Job>), Error> {
         let ImportRequest { path, name, parse, up, metres_per_unit, levelling, preset } = request;
         let root = self.import_root.clone().ok_or(Error::ImportNotAllowed)?;
+        check_metres_per_unit("/metres_per_unit", metres_per_unit)?;
         let (found, below) = spawn_blocking(move || found(&root, &path).map(|found| (found, root))).await??;
         let mut settings = ParseSettings::from_request(preset, None)?;
         settings.import = ImportSettings { up, metres_per_unit, levelling, ..settings.import };

@@ -183,3 +183,13 @@ pub fn hash_of(file: &Utf8Path) -> io::Result<String> {
         hasher.update(&buffer[..n]);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn no_upload_may_bring_checksums_of_its_own() {
+        assert!(uniground_core::ingest::is_reserved(Utf8Path::new(SUMS)));
+    }
+}

@@ -1914,8 +1914,8 @@ class Spending:
 class StageReport:
     """One stage of a parse: what it took and what came out."""
     stage: str
-    """`import`, `superpoints`, `masks_and_lifting`, `merging`, `part_merging`, `hierarchy`, `refinement`, `views`, `instances`, or with
-    models `appearance`.
+    """`import`, `superpoints`, `masks_and_lifting`, `gaps`, `planes`, `merging`, `part_merging`, `hierarchy`, `refinement`, `views`,
+    `instances`, or with models `appearance`.
     """
     seconds: float
     """Wall-clock."""

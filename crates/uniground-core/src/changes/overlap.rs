@@ -2,6 +2,7 @@
 
 use crate::geometry::voxels::{NEIGHBOURS_26, VoxelKey, VoxelMap};
 use crate::geometry::{Isometry3, Point3};
+use crate::progress::{Cancelled, Progress};
 use crate::scene::InstanceId;
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
@@ -28,14 +29,24 @@ impl Counterparts {
     }
 
     /// Those of two scans: the nearest point within so many metres. `place` leads from `before` to `after`.
-    #[must_use]
-    pub fn nearest(before: &[Point3<f32>], after: &[Point3<f32>], place: &Isometry3<f32>, within_m: f32) -> Self {
-        let index = Nearest::new(after, within_m);
-        let of_before = before.par_iter().map(|p| index.to(&(place * p))).collect();
+    ///
+    /// # Errors
+    /// [`Cancelled`].
+    pub fn nearest(
+        before: &[Point3<f32>],
+        after: &[Point3<f32>],
+        place: &Isometry3<f32>,
+        within_m: f32,
+        progress: &Progress,
+    ) -> Result<Self, Cancelled> {
+        // Where a cloud is very dense, a single point has thousands near.
+        let nearest = |index: &Nearest, p: &Point3<f32>| progress.check().map(|()| index.to(p));
         // A point may be nearest to none and still have one near.
         let placed: Vec<Point3<f32>> = before.iter().map(|p| place * p).collect();
-        let back = Nearest::new(&placed, within_m);
-        Self { of_before, of_after: after.par_iter().map(|p| back.to(p).is_some()).collect() }
+        let (index, back) = (Nearest::new(after, within_m), Nearest::new(&placed, within_m));
+        let of_before = placed.par_iter().map(|p| nearest(&index, p)).collect::<Result<_, _>>()?;
+        let of_after = after.par_iter().map(|p| nearest(&back, p).map(|near| near.is_some())).collect::<Result<_, _>>()?;
+        Ok(Self { of_before, of_after })
     }
 
     fn new(of_before: Vec<Option<u32>>, after: usize) -> Self {
@@ -157,8 +168,19 @@ mod tests {
         let place = Isometry3::translation(0.0, 1.0, 0.0);
         let (before, after) =
             (line([0.0, 1.0]), vec![Point3::new(0.04, 1.0, 0.0), Point3::new(0.01, 1.0, 0.0), Point3::new(1.2, 1.0, 0.0)]);
-        let near = Counterparts::nearest(&before, &after, &place, 0.05);
+        let near = Counterparts::nearest(&before, &after, &place, 0.05, &Progress::silent()).unwrap();
         assert_eq!((near.of_before(0), near.of_before(1)), (Some(1), None));
         assert_eq!([0, 1, 2].map(|i| near.of_after(i)), [true, true, false]);
+    }
+
+    #[test]
+    fn looking_for_counterparts_stops_when_it_is_cancelled() {
+        // Of a thousand points in one place each has a thousand near.
+        let (dense, checks) = (vec![Point3::origin(); 1000], std::sync::Arc::new(std::sync::atomic::AtomicUsize::new(0)));
+        let checked = checks.clone();
+        let progress = Progress::new(|_, _| {}, move || checked.fetch_add(1, std::sync::atomic::Ordering::Relaxed) >= 10);
+        let found = Counterparts::nearest(&dense, &dense, &Isometry3::identity(), 0.05, &progress);
+        assert!(found.is_err());
+        assert!(checks.load(std::sync::atomic::Ordering::Relaxed) < 1000, "every point was looked at");
     }
 }

@@ -26,7 +26,7 @@ pub use error::{IngestError, IngestErrorKind};
 pub use growth::{Fits, add, fits};
 pub use load::{Inspected, inspect, load, read_cloud};
 pub use neighbours::{Neighbours, neighbours};
-pub use parts::{GROWN, Grown, Part, part_folder};
+pub use parts::{GROWN, Grown, Part, is_reserved, part_folder};
 pub use scan::Scan;
 pub use unpacked::{Packed, Unpacked, head_of, what_it_is};
 

@@ -67,10 +67,40 @@ impl Grown {
     }
 }
 
+/// The folder of the parts.
+const PARTS: &str = "parts";
+/// The file of checksums that the store adds to a scan's folder.
+const CHECKSUMS: &str = ".sha256sums";
+
 /// Where a part lies, counted from 0.
 #[must_use]
 pub fn part_folder(content: &Utf8Path, part: usize) -> Utf8PathBuf {
-    content.join("parts").join(part.to_string())
+    content.join(PARTS).join(part.to_string())
+}
+
+/// Returns whether a path of an upload, relative to its root and without `.` or `..`, is a name that stored scans use for their own files.
+///
+/// [`GROWN`] is reserved in a folder of the root as well, because archives are often made of one folder. Case does not matter: some file
+/// systems ignore it.
+#[must_use]
+pub fn is_reserved(path: &Utf8Path) -> bool {
+    let names: Vec<String> = path.iter().map(fold_case).collect();
+    match &names[..] {
+        [name] => is_name(name, GROWN) || is_name(name, CHECKSUMS),
+        [_, name] if is_name(name, GROWN) => true,
+        [folder, part, ..] => is_name(folder, PARTS) && part.bytes().all(|byte| byte.is_ascii_digit()),
+        [] => false,
+    }
+}
+
+fn is_name(folded: &str, name: &str) -> bool {
+    folded == fold_case(name)
+}
+
+/// A name as a file system that ignores case compares it. Both conversions are needed: some letters have the same lower case, some the
+/// same upper case.
+fn fold_case(name: &str) -> String {
+    name.to_lowercase().to_uppercase()
 }
 
 #[cfg(test)]
@@ -92,5 +122,27 @@ mod tests {
             fs::write(folder.join(GROWN), damaged).unwrap();
             assert!(matches!(Grown::read(folder), Err(IngestError::Malformed { .. })), "{damaged}");
         }
+    }
+
+    #[test]
+    fn only_names_of_the_stored_layout_are_reserved() {
+        for (path, expected) in [
+            (GROWN, true),
+            ("Grown.JSON", true),
+            ("room/grown.json", true),
+            (".sha256sums", true),
+            (".SHA256SUM\u{17f}", true),
+            ("parts/0/color/1.png", true),
+            ("PARTS/17", true),
+            ("a/b/grown.json", false),
+            ("grown.json.txt", false),
+            ("parts/cloud.ply", false),
+            ("room/parts/0/cloud.ply", false),
+            ("parts", false),
+            ("scene.json", false),
+        ] {
+            assert_eq!(is_reserved(Utf8Path::new(path)), expected, "{path}");
+        }
+        assert!(is_reserved(&part_folder(Utf8Path::new(""), 12)));
     }
 }

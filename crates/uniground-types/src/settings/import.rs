@@ -1,7 +1,10 @@
 //! How a scan becomes a scene.
 
 use crate::geometry::up_axis::UpAxis;
+use crate::numbers;
+use crate::problem::FieldError;
 use serde::{Deserialize, Serialize};
+use std::ops::RangeInclusive;
 
 /// How a cloud is fused from depth pictures: a truncated signed distance volume.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -52,6 +55,17 @@ impl LevellingChoice {
     fn is_auto(&self) -> bool {
         *self == Self::Auto
     }
+}
+
+/// Lengths of one unit of a scan's files that are accepted, metres.
+const METRES_PER_UNIT: RangeInclusive<f64> = 1e-6..=1e6;
+
+/// Checks the length of one unit of a scan's files.
+///
+/// # Errors
+/// A [`FieldError`] naming the field, which is called `pointer` in the caller's request.
+pub fn check_metres_per_unit(pointer: &str, metres_per_unit: Option<f64>) -> Result<(), FieldError> {
+    metres_per_unit.map_or(Ok(()), |metres| numbers::in_range(pointer, metres, METRES_PER_UNIT))
 }
 
 /// How a scan becomes a scene; part of the parse settings, because they decide the result.

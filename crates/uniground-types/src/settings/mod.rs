@@ -10,7 +10,7 @@ mod neural;
 mod parsing;
 mod superpoints;
 
-pub use import::{FusionSettings, ImportSettings, LevellingChoice};
+pub use import::{FusionSettings, ImportSettings, LevellingChoice, check_metres_per_unit};
 pub use instances::{FrameSamplingSettings, InstanceSettings, ViewSettings};
 pub use masks::{MaskOrder, RgbdSettings, SamPrompts, SamSettings};
 pub use merging::{MergeSettings, Normalisation, PartMergingSettings};
@@ -122,9 +122,7 @@ impl ParseSettings {
                 return Err(FieldError::new(format!("/settings/import/fusion{pointer}"), format!("must be {expected}")));
             }
         }
-        if self.import.metres_per_unit.is_some_and(|metres| !(1e-6..=1e6).contains(&metres)) {
-            return Err(FieldError::new("/settings/import/metres_per_unit", "must be 0.000001 to 1000000"));
-        }
+        check_metres_per_unit("/settings/import/metres_per_unit", self.import.metres_per_unit)?;
         self.parsing
             .check()
             .map_err(|(pointer, expected)| FieldError::new(format!("/settings/parsing{pointer}"), format!("must be {expected}")))
@@ -178,6 +176,9 @@ mod tests {
             (json!({"parsing": {"superpoints": {"voxel_m": "wide"}}}), "/settings/parsing/superpoints/voxel_m"),
             (json!({"parsing": {"superpoint": {}}}), "/settings/parsing"),
             (json!({"import": {"fusion": {"voxel_m": 0}}}), "/settings/import/fusion/voxel_m"),
+            (json!({"import": {"metres_per_unit": 0}}), "/settings/import/metres_per_unit"),
+            // Infinite as an f32.
+            (json!({"parsing": {"superpoints": {"normal_weight": 1e300}}}), "/settings/parsing/superpoints/normal_weight"),
             (json!(7), "/settings"),
             (json!([]), "/settings"),
             (json!({"parsing": {"superpoints": [0.05, 0.3]}}), "/settings/parsing/superpoints"),

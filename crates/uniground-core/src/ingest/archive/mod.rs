@@ -195,7 +195,58 @@ mod tests {
         }
     }
 
+    /// A spelling of a path that leads to the same file, at least on some file systems.
+    fn spelt(path: &str, upper: &[bool], dots: &[bool], doubled: &[bool]) -> String {
+        let cased: String = path
+            .chars()
+            .zip(upper.iter().cycle())
+            .map(|(c, upper)| if *upper { c.to_ascii_uppercase() } else { c })
+            .collect();
+        let mut spelling = String::new();
+        for (i, name) in cased.split('/').enumerate() {
+            let slash = if doubled[i % doubled.len()] { "//" } else { "/" };
+            spelling.push_str(if i > 0 { slash } else { "" });
+            spelling.push_str(if dots[i % dots.len()] { "./" } else { "" });
+            spelling.push_str(name);
+        }
+        spelling
+    }
+
     proptest! {
+        #[test]
+        fn reserved_names_are_refused_in_every_spelling_and_nothing_is_written(
+            path in prop::sample::select(vec!["grown.json", "any room/grown.json", ".sha256sums", "parts/0/pose/0.txt", "parts/42/x"]),
+            upper in prop::collection::vec(any::<bool>(), 1..20),
+            dots in prop::collection::vec(any::<bool>(), 1..4),
+            doubled in prop::collection::vec(any::<bool>(), 1..4),
+        ) {
+            let name = spelt(path, &upper, &dots, &doubled);
+            let folder = tempfile::tempdir().unwrap();
+            let folder = Utf8Path::from_path(folder.path()).unwrap();
+            let mut tar = tar::Builder::new(Vec::new());
+            for name in ["color/0.png", &name] {
+                let mut header = tar::Header::new_gnu();
+                header.set_size(1);
+                // The builder would write a tidied path.
+                header.as_old_mut().name[..name.len()].copy_from_slice(name.as_bytes());
+                header.set_cksum();
+                tar.append(&header, &b"x"[..]).unwrap();
+            }
+            let zip = zip_of(&[("color/0.png", b"x"), (&name, b"x")]);
+            for (bytes, kind) in [(zip, ArchiveKind::Zip), (tar.into_inner().unwrap(), ArchiveKind::Tar)] {
+                let (archive, target) = (folder.join("upload"), folder.join(kind.name()));
+                fs::write(&archive, bytes).unwrap();
+                fs::create_dir(&target).unwrap();
+                match unpack(&archive, kind, &target, &UnpackLimits::default()) {
+                    Err(IngestError::UnsafeEntry { entry, reason }) => {
+                        prop_assert!(entry == name && reason.contains("reserved"), "{entry}: {reason}");
+                    }
+                    other => prop_assert!(false, "{name} in a {}: {other:?}", kind.name()),
+                }
+                prop_assert_eq!(fs::read_dir(&target).unwrap().count(), 0);
+            }
+        }
+
         #[test]
         fn a_safe_path_never_climbs(name in "[a-z./\\\\]{0,20}") {
             if let Ok(path) = safe_path(&name) {

@@ -2,7 +2,7 @@
 
 use super::UnpackLimits;
 use super::entries::{EntryKind, Visit};
-use crate::ingest::IngestError;
+use crate::ingest::{IngestError, is_reserved};
 use camino::{Utf8Component, Utf8Path, Utf8PathBuf};
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -102,7 +102,7 @@ fn cannot_store(name: &str, source: io::Error) -> IngestError {
     IngestError::unsafe_entry(name, reason)
 }
 
-/// The entry's path when it is relative and stays inside the archive.
+/// The entry's path when it is relative, stays inside the archive and is not one of the server's own files.
 pub(super) fn safe_path(name: &str) -> Result<Utf8PathBuf, IngestError> {
     if name.contains(|c: char| c == '\\' || c.is_control()) {
         return Err(IngestError::unsafe_entry(name, "holds a backslash or a control character"));
@@ -115,5 +115,14 @@ pub(super) fn safe_path(name: &str) -> Result<Utf8PathBuf, IngestError> {
             _ => return Err(IngestError::unsafe_entry(name, "points outside the archive")),
         }
     }
-    if path.as_str().is_empty() { Err(IngestError::unsafe_entry(name, "has no name")) } else { Ok(path) }
+    if path.as_str().is_empty() {
+        return Err(IngestError::unsafe_entry(name, "has no name"));
+    }
+    match is_reserved(&path) {
+        true => Err(IngestError::unsafe_entry(
+            name,
+            "has a name that is reserved for files of the server: rename it or leave it out",
+        )),
+        false => Ok(path),
+    }
 }
