@@ -36,7 +36,7 @@ pub async fn until_stopped(config: &ServeConfig, start: impl Future<Output = any
     io::stdout().flush()?;
     tokio::select! {
         _ = terminate.recv() => tracing::info!("SIGTERM: stopping"),
-        Some(_) = async { hangup.as_mut()?.recv().await } => tracing::info!("SIGHUP: stopping"),
+        Some(()) = async { hangup.as_mut()?.recv().await } => tracing::info!("SIGHUP: stopping"),
         _ = interrupt.recv() => tracing::info!("interrupted: stopping"),
         () = running.ended() => tracing::error!("the server ended by itself"),
     }

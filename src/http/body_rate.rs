@@ -72,12 +72,11 @@ impl MinimumRate {
     }
 
     fn refusal(&self) -> Refused {
-        match self.bytes_per_s {
-            Some(bytes_per_s) => Error::UploadTooSlow { bytes_per_s, silence_s: self.silence.as_secs() }.into(),
-            None => {
-                let detail = format!("a JSON body is sent within {} s", self.total.as_secs());
-                Refused::new(StatusCode::REQUEST_TIMEOUT, "body_too_slow", detail)
-            }
+        if let Some(bytes_per_s) = self.bytes_per_s {
+            Error::UploadTooSlow { bytes_per_s, silence_s: self.silence.as_secs() }.into()
+        } else {
+            let detail = format!("a JSON body is sent within {} s", self.total.as_secs());
+            Refused::new(StatusCode::REQUEST_TIMEOUT, "body_too_slow", detail)
         }
     }
 }

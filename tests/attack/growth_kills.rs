@@ -80,7 +80,9 @@ pub async fn run(form: Form, report: &mut Report) {
 
 /// A scene that nobody has asked anything, stopped while its growth waits or runs: the next start keeps its parse.
 async fn not_asked(report: &mut Report) {
-    for (case, stop) in [("SIGKILL", Process::kill as fn(Process)), ("SIGTERM", |process: Process| assert_eq!(process.terminate(), Some(0)))] {
+    for (case, stop) in
+        [("SIGKILL", Process::kill as fn(Process)), ("SIGTERM", |process: Process| assert_eq!(process.terminate(), Some(0)))]
+    {
         let start = Instant::now();
         let data = tempfile::tempdir().unwrap();
         let folder = Utf8Path::from_path(data.path()).unwrap();

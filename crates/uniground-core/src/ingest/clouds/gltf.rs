@@ -61,8 +61,11 @@ pub(super) fn read(root: &Utf8Path, file: &Utf8Path, mut gathered: Gathered) -> 
     Ok(gathered)
 }
 
-/// The description; of a GLB also where its binary part lies.
-fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, Option<Range<u64>>), IngestError> {
+/// Where the binary part of a GLB lies in its file, bytes.
+type BinaryPart = Option<Range<u64>>;
+
+/// The description, and of a GLB its binary part.
+fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, BinaryPart), IngestError> {
     let malformed = |reason: String| IngestError::malformed(file, reason);
     let reading = |source| IngestError::reading(file, source);
     let mut source = File::open(root.join(file)).map_err(reading)?;
@@ -86,7 +89,7 @@ fn open(root: &Utf8Path, file: &Utf8Path) -> Result<(Document, Option<Range<u64>
 
 /// The JSON of a GLB of so many bytes, which is read up to its magic, and where its binary chunk lies. Lengths are held against the file
 /// before anything is read. `None`: not a whole file.
-fn chunks(source: &mut File, bytes: u64) -> io::Result<Option<(Vec<u8>, Option<Range<u64>>)>> {
+fn chunks(source: &mut File, bytes: u64) -> io::Result<Option<(Vec<u8>, BinaryPart)>> {
     let mut head = [0; 16];
     source.read_exact(&mut head)?;
     let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| head[at + i]));

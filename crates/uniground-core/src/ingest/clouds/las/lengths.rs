@@ -1,4 +1,4 @@
-//! Lengths that a LAZ file announces, held against the file before its reader makes room for them (LAS 1.4, sections 2.4 to 2.7; LASzip).
+//! Lengths that a LAZ file announces, held against the file before its reader makes room for them (LAS 1.4, sections 2.4 to 2.7, and `LASzip`).
 
 use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
