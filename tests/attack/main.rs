@@ -15,6 +15,7 @@ mod disks;
 mod growth_kills;
 mod hostile;
 mod kills;
+mod mutations;
 mod responsiveness;
 #[allow(dead_code)]
 #[path = "../integration/server.rs"]
@@ -113,6 +114,7 @@ fn main() {
     println!("{:<52} {:<34} {:>9} {:>8}  left on the disk", "case", "answer", "time", "peak");
     runtime.block_on(async {
         uploads::run(form, &mut report).await;
+        mutations::run(form, &mut report).await;
         disks::run(form, &mut report).await;
         kills::run(form, &mut report).await;
         growth_kills::run(form, &mut report).await;

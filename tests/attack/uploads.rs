@@ -7,10 +7,8 @@ use crate::{Form, Report, Target, since};
 use reqwest::Method;
 use std::time::Instant;
 
-/// Refusals of more memory are none.
-const MOST_MB: f64 = 150.0;
-/// A cloud that was read may take what its eight million points take.
-const MOST_MB_READ: f64 = 256.0;
+/// Uploads are read in child processes: the server itself takes no more for them.
+const MOST_MB: f64 = 120.0;
 /// Seconds for what can be told from headers.
 const SOON: f64 = 2.0;
 /// Seconds for what has to be unpacked first.
@@ -97,7 +95,6 @@ pub async fn run(form: Form, report: &mut Report) {
             }
             other => (format!("{other:?}").chars().take(30).collect(), false),
         };
-        let most_mb = if code == "job up_unknown" { MOST_MB_READ } else { MOST_MB };
         let (seconds, peak) = (since(start), target.peak_mb());
         tokio::time::sleep(std::time::Duration::from_millis(300)).await;
         let left = target.left();
@@ -108,7 +105,7 @@ pub async fn run(form: Form, report: &mut Report) {
             seconds,
             Some(peak),
             &left,
-            held && clean && seconds < most_seconds && peak < most_mb,
+            held && clean && seconds < most_seconds && peak < MOST_MB,
         );
     }
     let target = target.again();

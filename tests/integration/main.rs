@@ -38,6 +38,7 @@ mod openapi;
 mod pages;
 mod placement;
 mod real_models;
+mod recovery;
 mod requests;
 mod restart;
 mod resumable;
