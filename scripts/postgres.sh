@@ -1,3 +1,4 @@
+# shellcheck shell=sh disable=SC2034,SC2012
 # To be read by scripts that need a PostgreSQL: starts one of Debian's (postgresql) in a folder of its own, on a port the system picks, and ends it
 # with the script. Gives $server, its address; $log, its log; $start and $stop, commands that start and stop it.
 PG_BIN=${PG_BIN:-$(ls -d /usr/lib/postgresql/*/bin 2>/dev/null | sort -V | tail -1)}

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Scores the annotated rooms with the built-in parts and fails on a drop against benches/quality.json that is more than luck. The baseline
 # is of the rooms this was developed with; what the others come to is printed, and holds nothing.
-# UPDATE=1 writes the baseline instead.
+# UPDATE=1 writes the baseline instead; `baseline` scores the rooms of the baseline only.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -24,8 +24,9 @@ for file in "$rooms"/*.zip "$rooms"/*.queries.json "$rooms"/*.scene.json; do
 done
 for file in benches/names/*.names.json; do ln -s "$(realpath "$file")" "$folders/named/"; done
 matrix="source=parsed,oracle-boxes,oracle;top_k=10"
+only=${1:-all}
 label=$(git rev-parse --short HEAD 2>/dev/null || echo unknown)
-if [ -n "$(ls "$folders/others")" ]; then
+if [ "$only" != baseline ] && [ -n "$(ls "$folders/others")" ]; then
     echo "Rooms nobody has developed with:"
     ./target/release/uniground eval "$folders/others" --out target/quality-others --matrix "$matrix" --label "$label"
     echo "Rooms of the baseline:"
@@ -33,5 +34,6 @@ fi
 against=(--baseline "$baseline")
 [ -n "${UPDATE:-}" ] && against=(--write-baseline "$baseline")
 ./target/release/uniground eval "$folders/scenes" --out target/quality --matrix "$matrix" --label "$label" "${against[@]}"
+[ "$only" != baseline ] || exit 0
 echo "All rooms, with names as somebody gives them who looks (benches/names), and 24 candidates:"
 ./target/release/uniground eval "$folders/named" --out target/quality-named --matrix "source=parsed,oracle-boxes;names=seen;top_k=24" --label "$label"

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Requests made up from the served OpenAPI description, against a real server: whatever comes, the answer is as described.
-# Needs ./target/release/uniground and Python 3; installs Schemathesis into .venv once.
+# Needs ./target/release/uniground and Python 3; installs Schemathesis into .venv once (with `install` only that).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -10,6 +10,7 @@ if ! "$venv/bin/schemathesis" --version 2>/dev/null | grep -qF "$version"; then
     "${PYTHON:-python3}" -m venv "$venv"
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "schemathesis==$version"
 fi
+[ "${1:-}" != install ] || exit 0
 
 data=$(mktemp -d)
 server=

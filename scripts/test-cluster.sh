@@ -1,5 +1,5 @@
 #!/bin/sh
-# Several processes over one PostgreSQL: killed and stopped at random (tests/cluster/kills.py, which takes the flags: --full, --seed N, --keep FOLDER,
+# Several processes over one PostgreSQL: killed and stopped at random (tests/cluster/kills.py, which takes the flags: --quick, --full, --seed N, --keep FOLDER,
 # --store S3S_FS), and behind the proxy of deploy/ (tests/cluster/proxy.py).
 #
 # Needs ./target/release/uniground, Python 3, and Debian's postgresql and caddy.

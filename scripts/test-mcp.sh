@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # MCP clients that exist against the real server. Needs ./target/release/uniground and Python 3.10 or newer, and npx for the inspector (where it
-# is missing it says so); installs the Python SDK into .venv-mcp once.
+# is missing it says so); installs the Python SDK into .venv-mcp once (with `install` only that).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -10,4 +10,5 @@ if ! "$venv/bin/python" -m pip show mcp 2>/dev/null | grep -qx "Version: $sdk"; 
     "${PYTHON:-python3}" -m venv $venv
     $venv/bin/python -m pip install --quiet --disable-pip-version-check "mcp==$sdk"
 fi
+[ "${1:-}" != install ] || exit 0
 $venv/bin/python tests/mcp/run.py

@@ -2,7 +2,7 @@
 # The committed description by those who read it: a linter, and clients made of it in two languages, compiled.
 #
 # Needs Python 3, and npm for the linter and the TypeScript client (where npm is missing it says so and leaves these out); installs
-# openapi-python-client and mypy into .venv-openapi once.
+# openapi-python-client and mypy into .venv-openapi once (with `install` only that).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -18,6 +18,7 @@ if ! "$venv/bin/openapi-python-client" --version 2>/dev/null | grep -qF "$python
     "${PYTHON:-python3}" -m venv $venv
     $venv/bin/python -m pip install --quiet --disable-pip-version-check "openapi-python-client==$python_client" "mypy==$mypy"
 fi
+[ "${1:-}" != install ] || exit 0
 PATH=$PWD/$venv/bin:$PATH openapi-python-client generate --path openapi/openapi.json --config openapi/python-client.yaml \
     --output-path "$made/uniground_made" --meta none --fail-on-warning
 # The generator's own: how it leaves httpx's client, and a field that is called as its class is.
@@ -33,5 +34,6 @@ INI
 command -v npm >/dev/null || { echo "left out: the linter and the TypeScript client, there is no npm"; exit 0; }
 npx --yes "@redocly/cli@$redocly" lint openapi/openapi.json --config openapi/redocly.yaml --format=summary
 # The page's types are made of the description; that they are, and compile, is looked at once more here.
-(cd web && npm ci --no-audit --no-fund --silent && npx openapi-typescript ../openapi/openapi.json -o "$made/schema.ts" >/dev/null &&
+scripts/web.sh install
+(cd web && npx openapi-typescript ../openapi/openapi.json -o "$made/schema.ts" >/dev/null &&
     npx tsc --noEmit --strict --target es2022 --typeRoots "$made/types" "$made/schema.ts")

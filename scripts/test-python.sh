@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # The Python package against a real server: what is generated, formatting and lints, types, Python 3.9, tests, blocks of the documentation,
-# the notebook; and the ROS 2 example. Needs ./target/release/uniground (or UNIGROUND_PROGRAM) and Python 3.11; installs into .venv-python once.
+# the notebook; and the ROS 2 example. Needs ./target/release/uniground (or UNIGROUND_PROGRAM) and Python 3.11; installs into .venv-python once
+# (with `install` only that).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -12,6 +13,7 @@ if ! cmp -s clients/python/pyproject.toml $packages; then
     $venv/bin/python -m pip install --quiet --no-compile --disable-pip-version-check --editable 'clients/python[test]'
     cp clients/python/pyproject.toml $packages
 fi
+[ "${1:-}" != install ] || exit 0
 
 "${PYTHON:-python3}" scripts/python-client.py --check
 cd clients/python

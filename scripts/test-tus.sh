@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # Clients of tus that exist against a real server that is killed in the middle. Needs ./target/release/uniground and Python 3.10 or newer, and
-# npm for tus-js-client (where it is missing it says so); installs tuspy into .venv-tus once.
+# npm for tus-js-client (where it is missing it says so); installs tuspy into .venv-tus once (with `install` only that).
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -10,7 +10,6 @@ if ! "$venv/bin/python" -m pip show tuspy 2>/dev/null | grep -qx "Version: $tusp
     "${PYTHON:-python3}" -m venv $venv
     $venv/bin/python -m pip install --quiet --disable-pip-version-check "tuspy==$tuspy"
 fi
-if command -v npm >/dev/null && [ ! -d web/node_modules/tus-js-client ]; then
-    (cd web && npm ci --no-audit --no-fund --silent && touch node_modules)
-fi
+[ "${1:-}" != install ] || exit 0
+[ -z "$(command -v npm)" ] || scripts/web.sh install
 $venv/bin/python tests/tus/run.py

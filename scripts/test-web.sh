@@ -7,7 +7,6 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 
 command -v npm >/dev/null || { scripts/web.sh check && echo "left out: the page's tests, there is no npm" && exit 0; }
-(cd web && npm ci --no-audit --no-fund --silent && touch node_modules)
 scripts/web.sh check
 
 chromium=${CHROMIUM:-$(command -v chromium || command -v chromium-browser || command -v google-chrome || true)}

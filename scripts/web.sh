@@ -2,6 +2,7 @@
 # Builds the page into web/dist, which is committed so that cargo alone builds a whole program; or checks that it belongs to its sources.
 #
 #   scripts/web.sh          builds (needs Node 20.19 or newer and npm)
+#   scripts/web.sh install  what it takes to build (npm), into web/node_modules, unless it is there
 #   scripts/web.sh check    compares the hash of the sources with the one that was built; where npm is there, builds again and compares
 set -euo pipefail
 cd "$(dirname "$0")/../web"
@@ -22,6 +23,9 @@ build() { # FOLDER
 }
 
 case "${1:-build}" in
+install)
+    install
+    ;;
 build)
     install
     build dist
@@ -45,7 +49,7 @@ check)
     fi
     ;;
 *)
-    echo "usage: scripts/web.sh [build|check]" >&2
+    echo "usage: scripts/web.sh [build|install|check]" >&2
     exit 2
     ;;
 esac

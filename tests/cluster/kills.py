@@ -2,7 +2,7 @@
 """A cluster whose processes are killed, and stand still past their leases, while they parse and ask a model: every job ends once, nothing is paid
 twice or lost, and every API tells the same.
 
-usage: kills.py --program PROGRAM --database postgres://… --log FILE --stop COMMAND --start COMMAND [--store S3S_FS] [--full] [--seed N] [--keep FOLDER]
+usage: kills.py --program PROGRAM --database postgres://… --log FILE --stop COMMAND --start COMMAND [--store S3S_FS] [--quick | --full] [--seed N] [--keep FOLDER]
 
 The database is empty and belongs to a PostgreSQL whose superuser the address names; FILE is that server's log (scripts/test-cluster.sh starts one).
 In the middle of it the database is away for a while: COMMANDs stop and start its server. Without --store all processes share a data folder; with it each
@@ -43,8 +43,10 @@ from wire import Connection
 LEASE_S = 10
 # Parses, questions of each of three batches, disturbances, seconds that the model thinks on the average (so that batches last as long as the storm does,
 # and a kill finds calls under way), and seconds that the whole may take.
-SHORT, FULL = (8, 60, 8, 3.0, 1500), (60, 500, 60, 3.2, 3600)
+QUICK, SHORT, FULL = (4, 30, 4, 3.5, 900), (8, 60, 8, 3.0, 1500), (60, 500, 60, 3.2, 3600)
 BATCHES, FRAMES = 3, 6
+# The few disturbances of the quick form are a worker and an API killed, and one of each stopped.
+SEED, SEED_OF_QUICK = 20261124, 43
 # How long the database, and the store of files, are away.
 AWAY_S = 20
 
@@ -156,6 +158,9 @@ def run(table, options, folder, most, store):
         judgement.ends(table, fleet.end())
         numbers = sum((log_lines(folder / f"{member.name}.log")[0] for member in fleet.members), start=Counter())
         table.row("errors in the logs", ", ".join(f"{count} {what}" for what, count in numbers.most_common(3)) or "0", "told only")
+    if most is QUICK:
+        model.shutdown()
+        return
     throughput.run(table, program, folder, database, model, scans, blobs, LEASE_S, *((4, 2) if most is SHORT else (12, 3)))
     plans.run(table, program, folder, database, model, scenes, scans, options.log, blobs, LEASE_S)
     model.shutdown()
@@ -173,11 +178,14 @@ def main():
     parser.add_argument("--stop", required=True, help="stops that server")
     parser.add_argument("--start", required=True, help="starts it again")
     parser.add_argument("--store", type=Path, help="an S3 server for files; each process has a data folder of its own then")
-    parser.add_argument("--full", action="store_true", help="60 parses, three batches of 500, 60 disturbances")
-    parser.add_argument("--seed", type=int, default=20261124)
+    length = parser.add_mutually_exclusive_group()
+    length.add_argument("--quick", action="store_true", help="4 parses, three batches of 30, 4 disturbances; no throughput, no plans of statements")
+    length.add_argument("--full", action="store_true", help="60 parses, three batches of 500, 60 disturbances")
+    parser.add_argument("--seed", type=int)
     parser.add_argument("--keep", type=Path, help="leave data folders and logs here")
     options = parser.parse_args()
-    most = FULL if options.full else SHORT
+    options.seed = options.seed or (SEED_OF_QUICK if options.quick else SEED)
+    most = QUICK if options.quick else FULL if options.full else SHORT
     hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
     resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
     # However it is ended, no process stays behind.

@@ -1,11 +1,13 @@
 #!/usr/bin/env python3
 """Thousands of rooms in one database: are those looked into, of all that are meant, that a look into every one would have found?
 
-usage: many_rooms.py --program PROGRAM --database postgres://… --log FILE [--rooms N] [--vectors N] [--questions N] [--onnxruntime-lib FILE]
+usage: many_rooms.py --program PROGRAM --database postgres://… --log FILE [--rooms N] [--scenes-per-room N] [--vectors N] [--questions N]
+       [--onnxruntime-lib FILE]
 
 The database is empty, has the extension pgvector at hand, and belongs to a server whose superuser the address names; FILE is that server's log
 (scripts/test-vectors.sh starts one). Rooms are made of the sample room's things, a dozen each, under names that are as unevenly spread as in homes; what an
-encoder would have seen of them is made up around a centre for each name. Only Python's standard library and psql are needed.
+encoder would have seen of them is made up around a centre for each name. Rooms are chosen where there are more than a thousand scenes: several scenes of
+one room make that many of few rooms, which are indexed sooner. Only Python's standard library and psql are needed.
 """
 import argparse
 import json
@@ -45,7 +47,7 @@ THINGS, NAMED = 12, 1000
 ID = "'01900000-0000-7000-8000-' || lpad(to_hex(i), 12, '0')"
 
 
-def fill(rooms):
+def fill(rooms, scenes_per_room):
     """Rooms of a dozen things of the sample room, under other names."""
     names = ", ".join(f"'{name}'" for name in NAMES)
     return f"""
@@ -60,7 +62,8 @@ INSERT INTO instances (parse_id, id, body, record_version)
     SELECT {ID}, k, (body || jsonb_build_object('id', k, 'given_name', name))::text, 1
     FROM (SELECT i, k, body, 1 + floor({len(NAMES)} * power(random(), 2.5))::int AS n FROM generate_series(1, {rooms}) AS i, things) AS room JOIN names USING (n);
 INSERT INTO scenes (id, name, content_hash, parse_id, parse_version, created_at, updated_at)
-    SELECT {ID}, 'room ' || i, content_hash, {ID}, 1, created_at, updated_at FROM (SELECT * FROM scenes LIMIT 1) AS one, generate_series(1, {rooms}) AS i;
+    SELECT {ID}, 'room ' || i, content_hash, {ID.replace("to_hex(i)", f"to_hex(1 + (i - 1) % {rooms})")}, 1, created_at, updated_at
+    FROM (SELECT * FROM scenes LIMIT 1) AS one, generate_series(1, {rooms * scenes_per_room}) AS i;
 ANALYZE;
 """
 
@@ -169,7 +172,7 @@ def run(table, options, folder):
         until(lambda: connection.call("GET", f"/v1/scenes/{made['scene']['id']}").json()["status"] == "ready")
         until(lambda: int(database.value("SELECT count(*) FROM instance_vectors")) > 0)
         start = time.time()
-        database.run(fill(options.rooms))
+        database.run(fill(options.rooms, options.scenes_per_room))
         rooms = options.rooms + 1
         until(lambda: int(database.value("SELECT count(*) FROM parses WHERE indexed = changes")) == rooms)
         table.row("rooms indexed beside everything else", f"{rooms} in {time.time() - start:.0f} s", "all")
@@ -200,12 +203,13 @@ def main():
     parser.add_argument("--database", required=True, help="an empty database of PostgreSQL's")
     parser.add_argument("--log", required=True, type=Path, help="the log of its server")
     parser.add_argument("--rooms", type=int, default=1300)
+    parser.add_argument("--scenes-per-room", type=int, default=1)
     parser.add_argument("--vectors", type=int, default=8_000)
     parser.add_argument("--questions", type=int, default=20)
     parser.add_argument("--onnxruntime-lib", type=Path, default=ROOT / ".onnxruntime/libonnxruntime.so", help="ONNX Runtime's library")
     options = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="many-rooms-"))
-    table = Table(f"{options.rooms} rooms, {options.vectors} vectors, {options.questions} questions")
+    table = Table(f"{options.rooms} rooms, scenes of each {options.scenes_per_room}, {options.vectors} vectors, {options.questions} questions")
     try:
         run(table, options, folder)
     finally:
