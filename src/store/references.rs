@@ -87,13 +87,13 @@ async fn broken_in(tx: &mut Transaction) -> Result<Vec<BrokenReference>, StoreEr
                JOIN pragma_foreign_key_list(violated.\"table\") AS key ON key.id = violated.fkid
                JOIN pragma_table_info(violated.\"table\") AS col ON col.name = key.\"from\"
                GROUP BY 1, 2, 3, 4, 5 ORDER BY 1, 2";
-    let rows: Vec<(String, String, String, String, bool, i64)> = sqlx::query_as(sql).fetch_all(&mut **tx).await?;
+    let rows: Vec<(String, String, String, String, i64, i64)> = sqlx::query_as(sql).fetch_all(&mut **tx).await?;
     let broken = |(table, column, parent, parent_key, is_optional, rows)| BrokenReference {
         table,
         column,
         parent,
         parent_key,
-        is_optional,
+        is_optional: is_optional != 0,
         rows: u64::try_from(rows).unwrap_or(0),
     };
     Ok(rows.into_iter().map(broken).collect())
