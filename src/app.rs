@@ -110,6 +110,7 @@ async fn put_together(config: &ServeConfig, part: &Part) -> anyhow::Result<Runni
     let lanes = part.works.iter().map(start).collect();
     tokio::spawn(keep_house(service.clone(), shutdown.clone()));
     tokio::spawn(keep_index(service.clone(), shutdown.clone()));
+    tokio::spawn(keep_reserve(store.clone(), shutdown.clone()));
     if part.serves {
         tokio::spawn(make_left_uploads(service.clone(), shutdown.clone()));
     }
@@ -218,6 +219,14 @@ async fn keep_index(service: Service, shutdown: CancellationToken) {
         if let Some(Err(error)) = shutdown.run_until_cancelled(service.index_rooms()).await {
             tracing::warn!(error = &error as &dyn std::error::Error, "rooms could not be indexed");
         }
+    }
+}
+
+/// Writes the reserve file again that was released on a full disk, once the disk has room.
+async fn keep_reserve(store: Store, shutdown: CancellationToken) {
+    const EVERY: Duration = Duration::from_mins(1);
+    while shutdown.run_until_cancelled(sleep(EVERY)).await.is_some() {
+        store.restore_reserve().await;
     }
 }
 

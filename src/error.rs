@@ -68,6 +68,8 @@ pub enum Error {
     BatchOver { id: String, state: String },
     #[error("a batch has at most {most} questions")]
     TooManyItems { most: u32 },
+    #[error("a batch holds at most {} MB: send it in parts", most_bytes >> 20)]
+    BatchTooLarge { most_bytes: u64 },
     #[error("an answer could not be kept: it is asked for again")]
     AnswerNotKept,
     #[error("scene {id} has not been parsed yet")]
@@ -324,6 +326,7 @@ impl Error {
             Self::TooManyScenes { .. } => "quota_used_up",
             Self::BatchOver { .. } => "batch_over",
             Self::TooManyItems { .. } => "too_many_items",
+            Self::BatchTooLarge { .. } => "batch_too_large",
             Self::SceneNotReady { .. } => "scene_not_ready",
             Self::Invalid { .. } => "invalid_request",
             Self::VlmNotConfigured => "vlm_not_configured",

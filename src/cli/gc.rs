@@ -28,6 +28,9 @@ pub struct GcArgs {
     retention: RetentionConfig,
 }
 
+/// Unused room in the database for which it is written anew, where nothing was removed now: what a refused batch has left, say.
+const WORTH_COMPACTING_BYTES: u64 = 16 << 20;
+
 pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
     telemetry::start_quiet();
     let GcArgs { data_dir, database, blobs, dry_run, json: as_json, retention } = args;
@@ -51,11 +54,14 @@ pub async fn run(args: &GcArgs) -> anyhow::Result<()> {
         println!("{verb}: {entries} entries, {}", table::size(bytes));
     }
     drop(service);
-    if !dry_run && entries > 0 {
-        store
-            .compact()
-            .await
-            .context("what was removed is gone, but the database could not give its room back to the disk")?;
+    if !dry_run && (entries > 0 || store.unused_bytes().await? >= WORTH_COMPACTING_BYTES) {
+        match store.compact().await {
+            // Compacting writes the database once more: what was removed has made its room, for rows if not for files.
+            Err(error) if error.is_full() => {
+                eprintln!("the disk has too little room to compact the database: run gc again when it has more");
+            }
+            compacted => compacted.context("what was removed is gone, but the database could not give its room back to the disk")?,
+        }
     }
     store.close().await;
     Ok(())

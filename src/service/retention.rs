@@ -77,11 +77,21 @@ struct Round<'a> {
 }
 
 impl Service {
-    /// Lets go of everything that was kept long enough, in small steps; what went, by kind.
+    /// Lets go of everything that was kept long enough, in small steps; what went, by kind. On a full disk the room for it comes from the
+    /// reserve.
     ///
     /// # Errors
     /// [`Error`] of the store; what is gone stays gone.
     pub async fn let_go(&self, beside: Beside) -> Result<Vec<Removed>, Error> {
+        let removed = match self.try_to_let_go(beside).await {
+            Err(error) if error.is_disk_full() && self.store.release_reserve() => self.try_to_let_go(beside).await,
+            done => done,
+        }?;
+        self.store.restore_reserve().await;
+        Ok(removed)
+    }
+
+    async fn try_to_let_go(&self, beside: Beside) -> Result<Vec<Removed>, Error> {
         let mut round = Round { service: self, beside, now: Timestamp::now(), folders: HashSet::new() };
         let Retention { answers_days, jobs_days, batches_days, idempotency_days, audit_days, superseded_days, uploads_days, .. } =
             self.limits.retention;

@@ -3,7 +3,7 @@
 use super::database::{number, without_nul};
 use super::{Hold, JobRow, NewJob, Store, StoreError, now};
 use sqlx::any::AnyRow;
-use sqlx::{FromRow, Row};
+use sqlx::{AssertSqlSafe, FromRow, Row};
 use std::collections::BTreeMap;
 
 /// A batch as stored.
@@ -51,10 +51,22 @@ pub struct NewBatch<'a> {
     pub key_id: Option<&'a str>,
 }
 
+/// A batch whose items have all been received.
+pub struct ReceivedBatch<'a> {
+    pub id: &'a str,
+    pub items: u32,
+    /// Fields that its items share, as JSON.
+    pub defaults: &'a str,
+    /// SHA-256 of what was submitted.
+    pub request: &'a str,
+    /// The idempotency key it was submitted under.
+    pub key: Option<&'a str>,
+}
+
 /// An item about to be recorded.
 pub struct NewItem {
     pub scene_id: String,
-    /// The question as JSON.
+    /// The item's own fields of the question as JSON.
     pub request: String,
 }
 
@@ -110,6 +122,16 @@ pub enum Submitted {
     KeyReused,
 }
 
+/// Columns of a [`BatchRow`]. Defaults are read only where they are used: they are up to 64 kB.
+const COLUMNS: &str = "id, label, state, reason, items, concurrency, max_cost_usd, job_id, request, key_id, created_at, finished_at";
+
+/// Items of a batch deleted in one transaction.
+const ITEMS_TOGETHER: u32 = 1000;
+
+fn select(condition: &str) -> AssertSqlSafe<String> {
+    AssertSqlSafe(format!("SELECT {COLUMNS} FROM batches WHERE {condition}"))
+}
+
 impl Store {
     /// Begins a batch: its items follow. Nobody is told of it before it is [submitted](Self::submit_batch).
     ///
@@ -158,18 +180,11 @@ impl Store {
     ///
     /// # Errors
     /// [`StoreError::Database`].
-    pub async fn submit_batch(
-        &self,
-        id: &str,
-        items: u32,
-        request: &str,
-        key: Option<&str>,
-        job: &NewJob<'_>,
-    ) -> Result<Submitted, StoreError> {
+    pub async fn submit_batch(&self, received: &ReceivedBatch<'_>, job: &NewJob<'_>) -> Result<Submitted, StoreError> {
+        let ReceivedBatch { id, items, defaults, request, key } = *received;
         let mut tx = self.writer.begin().await?;
         if let Some(key) = key {
-            let before: Option<BatchRow> =
-                sqlx::query_as("SELECT * FROM batches WHERE key = $1").bind(key).fetch_optional(&mut *tx).await?;
+            let before: Option<BatchRow> = sqlx::query_as(select("key = $1")).bind(key).fetch_optional(&mut *tx).await?;
             if let Some(before) = before {
                 tx.forget().await?;
                 let same = before.request.as_deref() == Some(request);
@@ -177,12 +192,13 @@ impl Store {
             }
         }
         let job = super::jobs::insert(&mut tx, &self.new_id(), id, job).await?;
-        let sql = "UPDATE batches SET state = 'running', items = $1, request = $2, key = $3, job_id = $4 WHERE id = $5";
+        let sql = "UPDATE batches SET state = 'running', items = $1, request = $2, key = $3, job_id = $4, defaults = $5 WHERE id = $6";
         sqlx::query(sql)
             .bind(i64::from(items))
             .bind(request)
             .bind(key)
             .bind(&job.id)
+            .bind(defaults)
             .bind(id)
             .execute(&mut *tx)
             .await?;
@@ -195,18 +211,47 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn batch_of_idempotency_key(&self, key: &str) -> Result<Option<BatchRow>, StoreError> {
-        Ok(sqlx::query_as("SELECT * FROM batches WHERE key = $1")
-            .bind(key)
-            .fetch_optional(&self.reader)
-            .await?)
+        Ok(sqlx::query_as(select("key = $1")).bind(key).fetch_optional(&self.reader).await?)
     }
 
-    /// Removes a batch with its items; its answers stay.
+    /// The fields that the items of a batch share, as JSON. `None` where its items store whole questions.
     ///
     /// # Errors
     /// [`StoreError::Database`].
+    pub async fn batch_defaults(&self, id: &str) -> Result<Option<String>, StoreError> {
+        let defaults: Option<Option<String>> = sqlx::query_scalar("SELECT defaults FROM batches WHERE id = $1")
+            .bind(id)
+            .fetch_optional(&self.reader)
+            .await?;
+        Ok(defaults.flatten())
+    }
+
+    /// Removes a batch with its items, a thousand items at a time; its answers stay.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`]: what is removed stays removed.
     pub async fn delete_batch(&self, id: &str) -> Result<(), StoreError> {
+        let some = "DELETE FROM batch_items WHERE batch_id = $1
+                    AND item IN (SELECT item FROM batch_items WHERE batch_id = $1 LIMIT $2)";
+        let delete = || sqlx::query(some).bind(id).bind(i64::from(ITEMS_TOGETHER)).execute(self.writer.pool());
+        while delete().await?.rows_affected() > 0 {}
         sqlx::query("DELETE FROM batches WHERE id = $1").bind(id).execute(self.writer.pool()).await?;
+        Ok(())
+    }
+
+    /// Deletes a batch that was refused: nothing of it is left. On a full disk with the room of the reserve.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn discard_batch(&self, id: &str) -> Result<(), StoreError> {
+        match self.delete_batch(id).await {
+            Err(error) if error.is_full() && self.release_reserve() => self.delete_batch(id).await?,
+            deleted => deleted?,
+        }
+        if let Err(error) = self.truncate_log().await {
+            tracing::debug!(error = &error as &dyn std::error::Error, "the database's log keeps its room until it is used again");
+        }
+        self.restore_reserve().await;
         Ok(())
     }
 
@@ -215,16 +260,19 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub(super) async fn forget_half_received_batches(&self) -> Result<(), StoreError> {
-        let sql = "DELETE FROM batches WHERE state = 'receiving' AND (receiver IS NULL OR receiver NOT IN (SELECT id FROM members))";
-        sqlx::query(sql).execute(self.writer.pool()).await?;
+        let sql = "SELECT id FROM batches WHERE state = 'receiving' AND (receiver IS NULL OR receiver NOT IN (SELECT id FROM members))";
+        let left: Vec<String> = sqlx::query_scalar(sql).fetch_all(self.writer.pool()).await?;
+        for id in &left {
+            self.delete_batch(id).await?;
+        }
         Ok(())
     }
 
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn batch(&self, id: &str) -> Result<Option<BatchRow>, StoreError> {
-        let sql = "SELECT * FROM batches WHERE id = $1 AND state != 'receiving'";
-        Ok(sqlx::query_as(sql).bind(id).fetch_optional(&self.reader).await?)
+        let which = select("id = $1 AND state != 'receiving'");
+        Ok(sqlx::query_as(which).bind(id).fetch_optional(&self.reader).await?)
     }
 
     /// Batches newest first, those before `cursor` (an id) only.
@@ -232,8 +280,8 @@ impl Store {
     /// # Errors
     /// [`StoreError::Database`].
     pub async fn batches(&self, limit: u32, cursor: Option<&str>) -> Result<Vec<BatchRow>, StoreError> {
-        let sql = "SELECT * FROM batches WHERE ($1 IS NULL OR id < $1) AND state != 'receiving' ORDER BY id DESC LIMIT $2";
-        Ok(sqlx::query_as(sql).bind(cursor).bind(i64::from(limit)).fetch_all(&self.reader).await?)
+        let which = select("($1 IS NULL OR id < $1) AND state != 'receiving' ORDER BY id DESC LIMIT $2");
+        Ok(sqlx::query_as(which).bind(cursor).bind(i64::from(limit)).fetch_all(&self.reader).await?)
     }
 
     /// How many items have each status, and what they cost.

@@ -3,14 +3,14 @@
 //! ```text
 //! uniground-data.json   that this is a data folder, and its id
 //! uniground.sqlite      the database, which knows the same id; not where that is PostgreSQL's
-//! reserve               a few megabytes to let go of when the disk is full: deleting needs room too
+//! reserve               a few megabytes that are released when the disk is full (`reserve`)
 //! blobs/  uploads/  tmp/   see `blobs`
 //! quarantine/<day>/...  what no record speaks of, kept for a while
 //! uniground-moving.json a store is being moved here (`moving`); without a marker beside it something is missing still
 //! ```
 
 use super::database::Engine;
-use super::{StoreError, now};
+use super::{StoreError, now, reserve};
 use camino::{Utf8Path, Utf8PathBuf};
 use serde::{Deserialize, Serialize};
 use std::fs::{self, File, TryLockError};
@@ -25,8 +25,6 @@ pub const MOVING: &str = "uniground-moving.json";
 const UNFINISHED_MARKER: &str = "uniground-data.json.new";
 pub const DATABASE: &str = "uniground.sqlite";
 pub const LOCK: &str = "lock";
-const RESERVE: &str = "reserve";
-const RESERVE_BYTES: usize = 8 << 20;
 
 #[derive(Serialize, Deserialize)]
 struct Marker {
@@ -111,8 +109,10 @@ impl DataFolder {
             taken(lock.try_lock_shared())?;
         }
         let folder = Self { path: path.to_owned(), id, _lock: Some(Arc::new(lock)) };
-        if let Err(error) = folder.keep_reserve() {
-            tracing::warn!(%error, "no room for the reserve that deleting needs on a full disk");
+        match reserve::write(path) {
+            Ok(true) => {}
+            Ok(false) => tracing::warn!("disk nearly full: no room for the reserve file, which deleting needs on a full disk"),
+            Err(error) => tracing::warn!(%error, "the reserve file, which deleting needs on a full disk, could not be written"),
         }
         Ok(folder)
     }
@@ -165,26 +165,9 @@ impl DataFolder {
         &self.path
     }
 
-    /// Lays the reserve aside, where it is not.
-    pub fn keep_reserve(&self) -> io::Result<()> {
-        let reserve = self.path.join(RESERVE);
-        if fs::metadata(&reserve).is_ok_and(|m| m.len() as usize >= RESERVE_BYTES) {
-            return Ok(());
-        }
-        // Written, not only announced: a file of holes takes no room.
-        let written = fs::write(&reserve, vec![1; RESERVE_BYTES]).and_then(|()| File::open(&reserve)?.sync_all());
-        written.inspect_err(|_| drop(fs::remove_file(&reserve)))
-    }
-
-    /// Gives the reserve's room to the disk; whether there was one.
-    pub fn let_go_of_reserve(&self) -> bool {
-        fs::remove_file(self.path.join(RESERVE)).is_ok()
-    }
-
     /// Bytes that may still be written here.
     pub fn free_bytes(&self) -> io::Result<u64> {
-        let disk = rustix::fs::statvfs(self.path.as_std_path())?;
-        Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+        reserve::free_bytes(&self.path)
     }
 
     /// Reads the marker: whether the folder is still there and readable.

@@ -279,6 +279,22 @@ impl Engine {
         }
     }
 
+    /// What writes the log of changes into the database and gives the log's room back to the disk; PostgreSQL does that by itself.
+    pub const fn truncate_log(self) -> &'static [&'static str] {
+        match self {
+            Self::Sqlite => &["PRAGMA wal_checkpoint(TRUNCATE)"],
+            Self::Postgres => &[],
+        }
+    }
+
+    /// What tells how many bytes removed rows have left in the database; PostgreSQL uses them again and tells nobody.
+    pub const fn unused_bytes(self) -> Option<&'static str> {
+        match self {
+            Self::Sqlite => Some("SELECT freelist_count * page_size FROM pragma_freelist_count, pragma_page_size"),
+            Self::Postgres => None,
+        }
+    }
+
     /// What gives the room of removed rows back to the disk; PostgreSQL does that by itself.
     pub const fn compact(self) -> &'static [&'static str] {
         match self {

@@ -20,6 +20,7 @@ mod ids;
 mod jobs;
 mod keys;
 mod members;
+mod migrations;
 mod moving;
 mod news;
 mod orphans;
@@ -27,6 +28,7 @@ mod parses;
 mod records;
 mod recovery;
 mod references;
+mod reserve;
 mod retention;
 mod room_index;
 mod scenes;
@@ -39,7 +41,7 @@ mod writer;
 
 pub use answers::{AnswerFilter, AnswerRow, NewAnswer};
 pub use backup::{BackedUp, BackupError, Restored, Source, Target, back_up, check, restore};
-pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, Resumed, Submitted};
+pub use batches::{BatchRow, ClosedItem, ItemRow, NewBatch, NewItem, OpenItem, ReceivedBatch, Resumed, Submitted};
 pub use blobs::{
     AccessKeys, Away, BlobHome, Blobs, BlobsAt, Bucket, Damage, GrowingFile, Kept, KeptCheckpoints, Links, Look, Measured, Prepared,
     Scratch, size_of,
@@ -74,8 +76,9 @@ use database::{Connections, Engine};
 use ids::Ids;
 use jiff::Timestamp;
 use members::Membership;
-use sqlx::migrate::{Migration, MigrationType, Migrator};
-use sqlx::{AnyPool, SqlSafeStr};
+use migrations::migrations;
+use sqlx::AnyPool;
+use sqlx::migrate::MigrateError;
 use std::io;
 use std::sync::Arc;
 use std::time::Duration;
@@ -141,7 +144,9 @@ impl StoreError {
     pub fn is_full(&self) -> bool {
         match self {
             // SQLITE_FULL, no room for the file readers share; disk_full.
-            Self::Database(error) => matches!(code(error).as_deref(), Some("13" | "4874" | "53100")),
+            Self::Database(error) | Self::Migration(MigrateError::Execute(error) | MigrateError::ExecuteMigration(error, _)) => {
+                matches!(code(error).as_deref(), Some("13" | "4874" | "53100"))
+            }
             Self::Blobs(error) => is_disk_full(error),
             Self::Together(error) => error.is_full(),
             _ => false,
@@ -200,6 +205,16 @@ pub fn is_disk_full(error: &io::Error) -> bool {
     matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded | io::ErrorKind::FileTooLarge)
 }
 
+/// What an opened store does with what interrupted processes have left.
+#[derive(Debug, Clone, Copy)]
+enum Leftovers {
+    Keep,
+    /// A process that was not seen for a lease is taken to be gone.
+    Clear {
+        lease: Duration,
+    },
+}
+
 /// Handle to everything stored. Cheap to clone.
 #[derive(Clone)]
 pub struct Store {
@@ -232,13 +247,7 @@ impl Store {
     /// # Errors
     /// As [`open`](Self::open).
     pub async fn open_with(data_dir: &Utf8Path, location: &Location, home: &BlobHome, lease: Duration) -> Result<Self, StoreError> {
-        let store = Self::open_for(data_dir, location, (home, Files::Used), Company::Welcome, lease).await?;
-        match store.members.was_alone {
-            true => store.recover().await,
-            false => store.end_interrupted_work().await,
-        }
-        store.members.let_others_in().await?;
-        Ok(store)
+        Self::open_for(data_dir, location, (home, Files::Used), Company::Welcome, Leftovers::Clear { lease }).await
     }
 
     /// Opens the store beside whoever uses it, as far as its database allows, and leaves everything where it is: for its rows alone.
@@ -246,7 +255,7 @@ impl Store {
     /// # Errors
     /// As [`open`](Self::open).
     pub async fn open_beside(data_dir: &Utf8Path, location: &Location, home: &BlobHome) -> Result<Self, StoreError> {
-        Self::open_for(data_dir, location, (home, Files::Untouched), Company::Welcome, LEASE).await
+        Self::open_for(data_dir, location, (home, Files::Untouched), Company::Welcome, Leftovers::Keep).await
     }
 
     /// Opens the store for nobody else and leaves everything where it is.
@@ -254,16 +263,33 @@ impl Store {
     /// # Errors
     /// As [`open`](Self::open).
     pub async fn open_as_it_is(data_dir: &Utf8Path, location: &Location, home: &BlobHome) -> Result<Self, StoreError> {
-        Self::open_for(data_dir, location, (home, Files::Used), Company::None, LEASE).await
+        Self::open_for(data_dir, location, (home, Files::Used), Company::None, Leftovers::Keep).await
     }
 
+    /// On a full disk the room for it comes from the reserve.
     async fn open_for(
+        data_dir: &Utf8Path,
+        location: &Location,
+        used: (&BlobHome, Files),
+        company: Company,
+        leftovers: Leftovers,
+    ) -> Result<Self, StoreError> {
+        match Self::try_to_open(data_dir, location, used, company, leftovers).await {
+            Err(error) if reserve::make_room_to_open(data_dir, &error) => {
+                Self::try_to_open(data_dir, location, used, company, leftovers).await
+            }
+            opened => opened,
+        }
+    }
+
+    async fn try_to_open(
         data_dir: &Utf8Path,
         location: &Location,
         (home, files): (&BlobHome, Files),
         company: Company,
-        lease: Duration,
+        leftovers: Leftovers,
     ) -> Result<Self, StoreError> {
+        let lease = if let Leftovers::Clear { lease } = leftovers { lease } else { LEASE };
         let engine = location.engine()?;
         DataFolder::goes_with(data_dir, engine)?;
         // A folder is marked as one of a server's database once that has been reached.
@@ -287,8 +313,31 @@ impl Store {
             Some(connections) => connections,
             None => Connections::to_file(&folder.database()).await?,
         };
-        let store = Self::connect(connections, folder, blobs, members).await?;
-        Ok(Self { server, ..store })
+        let (reader, writer) = (connections.reader.clone(), connections.writer.clone());
+        let opened = async {
+            let store = Self { server, ..Self::connect(connections, folder, blobs, members).await? };
+            if let Leftovers::Clear { .. } = leftovers {
+                store.clear_leftovers().await?;
+            }
+            Ok(store)
+        };
+        let opened = opened.await;
+        if opened.is_err() {
+            // Before another try: what a connection holds is the room and the lock that the next one needs.
+            reader.close().await;
+            writer.close().await;
+        }
+        opened
+    }
+
+    /// Clears what interrupted processes have left, and lets others in. Deleting needs room: on a full disk that of the reserve.
+    async fn clear_leftovers(&self) -> Result<(), StoreError> {
+        if let Some(full) = self.recover().await
+            && reserve::make_room_to_open(self.folder.path(), &full)
+        {
+            self.recover().await;
+        }
+        self.members.let_others_in().await
     }
 
     /// Waits for the turn at something, by its name: nobody else has it meanwhile, in this process or in another.
@@ -387,44 +436,6 @@ impl Store {
         self.reader.close().await;
         self.writer.close().await;
     }
-}
-
-/// What brings a database of SQLite's of any version up to date, in order. A file that has been released is never changed.
-const MIGRATIONS: [(i64, &str, &str); 16] = [
-    (1, "scenes parses jobs answers", include_str!("../../migrations/sqlite/0001_scenes_parses_jobs_answers.sql")),
-    (2, "instance names spending", include_str!("../../migrations/sqlite/0002_instance_names_spending.sql")),
-    (3, "lanes records", include_str!("../../migrations/sqlite/0003_lanes_records.sql")),
-    (4, "nothing lost", include_str!("../../migrations/sqlite/0004_nothing_lost.sql")),
-    (5, "batches", include_str!("../../migrations/sqlite/0005_batches.sql")),
-    (6, "keys audit lists webhooks", include_str!("../../migrations/sqlite/0006_keys_audit_lists_webhooks.sql")),
-    (7, "superseded parses", include_str!("../../migrations/sqlite/0007_superseded_parses.sql")),
-    (8, "name indexes", include_str!("../../migrations/sqlite/0008_name_indexes.sql")),
-    (9, "corrections", include_str!("../../migrations/sqlite/0009_corrections.sql")),
-    (10, "scene to map", include_str!("../../migrations/sqlite/0010_scene_to_map.sql")),
-    (11, "question keys", include_str!("../../migrations/sqlite/0011_question_keys.sql")),
-    (12, "uploads", include_str!("../../migrations/sqlite/0012_uploads.sql")),
-    (13, "scene changes", include_str!("../../migrations/sqlite/0013_scene_changes.sql")),
-    (14, "labels", include_str!("../../migrations/sqlite/0014_labels.sql")),
-    (15, "members", include_str!("../../migrations/sqlite/0015_members.sql")),
-    (16, "room index", include_str!("../../migrations/sqlite/0016_room_index.sql")),
-];
-
-/// The same for PostgreSQL, whose first is what fourteen of SQLite's led to.
-const MIGRATIONS_OF_POSTGRES: [(i64, &str, &str); 3] = [
-    (14, "everything so far", include_str!("../../migrations/postgres/0014_everything_so_far.sql")),
-    (15, "members", include_str!("../../migrations/postgres/0015_members.sql")),
-    (16, "room index", include_str!("../../migrations/postgres/0016_room_index.sql")),
-];
-
-fn migrations(engine: Engine) -> Migrator {
-    let migration = |&(version, name, sql): &(i64, &'static str, &'static str)| {
-        Migration::new(version, name.into(), MigrationType::Simple, sql.into_sql_str(), false)
-    };
-    let all: &[_] = match engine {
-        Engine::Sqlite => &MIGRATIONS,
-        Engine::Postgres => &MIGRATIONS_OF_POSTGRES,
-    };
-    Migrator::with_migrations(all.iter().map(migration).collect())
 }
 
 /// Rows of a page of which one more was asked for than it has, and the id to go on after, where there is more.

@@ -12,16 +12,24 @@ use std::time::Duration;
 const IN_USE: Duration = Duration::from_hours(24);
 
 impl Store {
-    /// Clears what an interrupted run left, while no other process uses the store: unused rows, folders without rows, unfinished uploads.
-    pub(super) async fn recover(&self) {
-        self.end_interrupted_work().await;
-        logged("remove unused parses and scans", self.remove_unused_rows().await);
-        logged("move unreferenced folders to the quarantine", self.sweep(Duration::ZERO).await);
-        logged("remove files of unfinished uploads", self.remove_stray_uploads().await);
-        logged("remove temporary files", self.remove_temporary(Duration::ZERO));
+    /// Clears what interrupted processes left. While no other process uses the store also unused rows, folders without rows and unfinished
+    /// uploads. Returns the error of a step that failed because the disk is full.
+    pub(super) async fn recover(&self) -> Option<StoreError> {
+        let interrupted = self.end_interrupted_work().await;
+        if !self.members.was_alone {
+            return interrupted;
+        }
+        let steps = [
+            interrupted,
+            logged("remove unused parses and scans", self.remove_unused_rows().await),
+            logged("move unreferenced folders to the quarantine", self.sweep(Duration::ZERO).await),
+            logged("remove files of unfinished uploads", self.remove_stray_uploads().await),
+            logged("remove temporary files", self.remove_temporary(Duration::ZERO)),
+        ];
+        steps.into_iter().flatten().next()
     }
 
-    /// Clears what crashed processes have left, while others use the store.
+    /// Clears what crashed processes have left, while this one and others use the store.
     pub async fn recover_beside_others(&self) {
         self.end_interrupted_work().await;
         logged("remove files of unfinished uploads", self.remove_stray_uploads().await);
@@ -29,9 +37,10 @@ impl Store {
     }
 
     /// Ends what crashed processes were in the middle of: batches being received, and money reserved for calls of a model.
-    pub(super) async fn end_interrupted_work(&self) {
-        logged("remove batches that were not received completely", self.forget_half_received_batches().await);
-        logged("settle reserved spending", self.settle_what_was_left().await);
+    async fn end_interrupted_work(&self) -> Option<StoreError> {
+        let received = logged("remove batches that were not received completely", self.forget_half_received_batches().await);
+        let settled = logged("settle reserved spending", self.settle_what_was_left().await);
+        received.or(settled)
     }
 
     fn remove_temporary(&self, age: Duration) -> Result<(), StoreError> {
@@ -58,8 +67,9 @@ impl Store {
     }
 }
 
-fn logged<T>(step: &'static str, outcome: Result<T, StoreError>) {
-    if let Err(error) = outcome {
-        tracing::error!(step, error = &error as &dyn std::error::Error, "recovery step failed; its rows and files are kept");
-    }
+/// Logs the error of a step. Returns it where the disk is full: the step may succeed when there is room.
+fn logged<T>(step: &'static str, outcome: Result<T, StoreError>) -> Option<StoreError> {
+    let error = outcome.err()?;
+    tracing::error!(step, error = &error as &dyn std::error::Error, "recovery step failed; its rows and files are kept");
+    error.is_full().then_some(error)
 }

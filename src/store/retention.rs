@@ -41,9 +41,6 @@ pub struct Due {
     pub bytes: u64,
 }
 
-/// Items of a batch removed together.
-const ITEMS_TOGETHER: u32 = 1000;
-
 impl Before {
     /// So many days before `now`.
     #[must_use]
@@ -62,7 +59,8 @@ impl Aged {
             Self::Batches => (
                 "batches",
                 "id",
-                "(SELECT CAST(coalesce(sum(octet_length(request)), 0) AS bigint) FROM batch_items WHERE batch_id = batches.id)",
+                "coalesce(octet_length(defaults), 0)
+                 + (SELECT CAST(coalesce(sum(octet_length(request)), 0) AS bigint) FROM batch_items WHERE batch_id = batches.id)",
                 "id < $2 AND state IN ('succeeded', 'cancelled') AND finished_at < $1",
             ),
             Self::Jobs => (
@@ -136,17 +134,7 @@ impl Store {
             .bind(ids)
             .fetch_all(self.writer.pool())
             .await?;
-        let some = "DELETE FROM batch_items WHERE batch_id = $1
-                    AND item IN (SELECT item FROM batch_items WHERE batch_id = $1 LIMIT $2)";
         for id in &hidden {
-            while sqlx::query(some)
-                .bind(id)
-                .bind(i64::from(ITEMS_TOGETHER))
-                .execute(self.writer.pool())
-                .await?
-                .rows_affected()
-                > 0
-            {}
             self.delete_batch(id).await?;
         }
         Ok(hidden)
@@ -176,6 +164,27 @@ impl Store {
         let sql = "SELECT DISTINCT content_hash FROM scenes
                    WHERE id IN (SELECT subject FROM jobs WHERE state IN ('queued', 'running'))";
         Ok(sqlx::query_scalar(sql).fetch_all(&self.reader).await?)
+    }
+
+    /// Gives the room that the database's log takes back to the disk. Rows that were removed leave room in the database, for others.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn truncate_log(&self) -> Result<(), StoreError> {
+        for &sql in self.engine.truncate_log() {
+            sqlx::query(sql).execute(self.writer.pool()).await?;
+        }
+        Ok(())
+    }
+
+    /// Bytes that removed rows have left in the database.
+    ///
+    /// # Errors
+    /// [`StoreError::Database`].
+    pub async fn unused_bytes(&self) -> Result<u64, StoreError> {
+        let Some(sql) = self.engine.unused_bytes() else { return Ok(0) };
+        let bytes: i64 = sqlx::query_scalar(sql).fetch_one(&self.reader).await?;
+        Ok(u64::try_from(bytes).unwrap_or(0))
     }
 
     /// Gives the room of removed rows back to the disk. Nobody else may use the database meanwhile.

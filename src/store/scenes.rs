@@ -252,19 +252,6 @@ impl Store {
         tx.commit().await?;
         Ok(Some(folders))
     }
-
-    /// Lets go of the room that was kept for deleting on a full disk; whether there was any.
-    #[must_use]
-    pub fn let_go_of_reserve(&self) -> bool {
-        self.folder.let_go_of_reserve()
-    }
-
-    /// Lays that room aside again, if there is any.
-    pub fn keep_reserve(&self) {
-        if let Err(error) = self.folder.keep_reserve() {
-            tracing::debug!(%error, "no room for the reserve");
-        }
-    }
 }
 
 /// Adds a job on a scene, in somebody's transaction.

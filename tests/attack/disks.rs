@@ -1,4 +1,4 @@
-//! Disks and databases that are full, locked, lost or somebody else's.
+//! Databases and files that are locked, lost or somebody else's.
 
 use crate::archives::Scan;
 use crate::hostile::ZIP;
@@ -8,7 +8,7 @@ use camino::Utf8Path;
 use sqlx::Connection;
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use std::fs;
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::time::{Duration, Instant};
 use uniground_types::job::JobState;
 
@@ -17,7 +17,6 @@ pub async fn run(_: Form, report: &mut Report) {
     strangers_folder(report);
     lost_files(report).await;
     locked(report).await;
-    full(report).await;
 }
 
 fn bytes_below(folder: &Utf8Path) -> u64 {
@@ -161,53 +160,4 @@ async fn locked(report: &mut Report) {
     report.row("7 a job that ended meanwhile", if held { "succeeded" } else { "never ended" }, since(start), None, "", held);
     let ready = client.bytes("readyz").await.is_ok();
     report.row("14 readiness afterwards", if ready { "ready" } else { "not ready" }, 0.0, None, "", ready);
-}
-
-/// On a file system of its own, which only root can make.
-async fn full(report: &mut Report) {
-    let mount = tempfile::tempdir().unwrap();
-    let folder = Utf8Path::from_path(mount.path()).unwrap();
-    let mounted = Command::new("mount")
-        .args(["-t", "tmpfs", "-o", "size=40m", "tmpfs", folder.as_str()])
-        .status()
-        .is_ok_and(|s| s.success());
-    if !mounted {
-        println!("left out: 4 a full disk (no file system can be mounted here)");
-        return;
-    }
-    // So small a disk is below what is kept free by default.
-    let process = Process::started(command(&folder.join("data"), "127.0.0.1:0").args(["--keep-free-bytes", "0"]).stderr(Stdio::null()));
-    let client = &process.client;
-    let scene = parsed(client, ZIP, Scan::neutral().zip()).await;
-    let other = parsed(client, ZIP, Scan::neutral().with("note.txt", "2").zip()).await;
-    // Somebody fills the rest to the last byte.
-    let mut filler = fs::File::create(folder.join("filler")).unwrap();
-    while std::io::Write::write_all(&mut filler, &[1; 4096]).is_ok() {}
-    let start = Instant::now();
-    let mut answers = Vec::new();
-    for _ in 0..40 {
-        answers.push(client.ground(&scene.id, &ask("the red sofa")).await.map(|answer| answer.stored));
-    }
-    let held = answers.iter().all(Result::is_ok) && answers.iter().any(|stored| matches!(stored, Ok(false)));
-    report.row("4 questions on a full disk", "answered, not stored", since(start), None, "", held);
-    let told = problem(client.create_scene(None, ZIP, Scan::neutral().with("note.txt", "x".repeat(1 << 20)).zip()).await);
-    report.row("4 an upload on a full disk", &format!("{} {}", told.status, told.code), 0.0, None, "", told.status == 507);
-    let ready = client.request(reqwest::Method::GET, "readyz").send().await.unwrap().status();
-    report.row("4 readiness on a full disk", ready.as_str(), 0.0, None, "", ready == 503);
-    let start = Instant::now();
-    let deleted = client.delete_scene(&other.id).await;
-    report.row(
-        "4 DELETE on a full disk",
-        if deleted.is_ok() { "204" } else { "not possible" },
-        since(start),
-        None,
-        "room again",
-        deleted.is_ok(),
-    );
-    drop(filler);
-    fs::remove_file(folder.join("filler")).unwrap();
-    let stored = client.ground(&scene.id, &ask("the red sofa")).await.is_ok_and(|answer| answer.stored);
-    report.row("4 a question once there is room", if stored { "stored" } else { "not stored" }, 0.0, None, "", stored);
-    process.kill();
-    let _ = Command::new("umount").arg(folder.as_str()).status();
 }

@@ -31,22 +31,24 @@ fn laz() -> Vec<u8> {
     for i in 0..500 {
         let color = Some(las::Color::new(1000, 2000, 3000));
         let (x, y) = (f64::from(i % 25) * 0.1, f64::from(i / 25) * 0.1);
-        writer.write_point(Point { x, y, z: 0.01 * x, color, gps_time: Some(0.0), ..Point::default() }).unwrap();
+        writer
+            .write_point(Point { x, y, z: 0.01 * x, color, gps_time: Some(0.0), ..Point::default() })
+            .unwrap();
     }
     writer.close().unwrap();
     writer.into_inner().unwrap().into_inner()
 }
 
-/// A scan whose first depth picture is this file.
-fn with_depth(file: &str) -> (String, Vec<u8>) {
-    let seed = concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz/seeds/depth/");
-    (file.to_owned(), std::fs::read(format!("{seed}{file}")).unwrap())
+/// A whole depth picture.
+fn depth_picture(file: &str) -> Vec<u8> {
+    let seeds = concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz/seeds/depth/");
+    std::fs::read(format!("{seeds}{file}")).unwrap()
 }
 
 pub async fn run(form: Form, report: &mut Report) {
     let glb = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/fuzz/seeds/glb/one")).unwrap();
-    let clouds = [("a LAZ", laz()), ("a GLB", glb), ("a zip", Scan::frames_only().zip())];
-    let pictures = ["zip.exr", "zips.exr", "floats.tif", "packed.tif", "words.tif"].map(with_depth);
+    let clouds = [(ANY, laz()), (ANY, glb), (ZIP, Scan::frames_only().zip())];
+    let pictures = ["zip.exr", "zips.exr", "floats.tif", "packed.tif", "words.tif"].map(depth_picture);
     let target = Target::start();
     let client = &target.process.client;
     let (start, count) = (Instant::now(), form.of(40, 432));
@@ -61,13 +63,11 @@ pub async fn run(form: Form, report: &mut Report) {
             bytes
         };
         let kind = number % (clouds.len() + pictures.len());
-        let (media_type, upload) = match clouds.get(kind) {
-            Some((_, bytes)) => (if kind == 2 { ZIP } else { ANY }, change(bytes.clone())),
-            None => {
-                let (_, bytes) = &pictures[kind - clouds.len()];
-                let picture = change(bytes.clone());
-                (ZIP, Scan::neutral().with("depth/0.png", picture).with("note.txt", format!("{number}")).zip())
-            }
+        let (media_type, upload) = if let Some((media_type, bytes)) = clouds.get(kind) {
+            (*media_type, change(bytes.clone()))
+        } else {
+            let picture = change(pictures[kind - clouds.len()].clone());
+            (ZIP, Scan::neutral().with("depth/0.png", picture).with("note.txt", format!("{number}")).zip())
         };
         let answer = match client.create_scene(None, media_type, upload).await {
             Err(ClientError::Problem(problem)) => problem.code,
@@ -83,5 +83,12 @@ pub async fn run(form: Form, report: &mut Report) {
     let up = client.bytes("healthz").await.is_ok();
     let told: Vec<String> = answers.iter().map(|(answer, count)| format!("{answer} {count}")).collect();
     let case = format!("2 {count} files with a few bytes changed");
-    report.row(&case, &format!("{wrong} wrong answers"), since(start), Some(target.peak_mb()), &told.join(", "), up && wrong == 0);
+    report.row(
+        &case,
+        &format!("{wrong} wrong answers"),
+        since(start),
+        Some(target.peak_mb()),
+        &told.join(", "),
+        up && wrong == 0,
+    );
 }

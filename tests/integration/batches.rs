@@ -23,7 +23,7 @@ fn lines(scene: &str, number: usize) -> String {
         .collect()
 }
 
-async fn results(client: &Client, batch: &str, from: u32, follow: bool) -> Vec<BatchResult> {
+pub async fn results(client: &Client, batch: &str, from: u32, follow: bool) -> Vec<BatchResult> {
     let mut results = Vec::new();
     let take = |_: &[u8], result| {
         results.push(result);
@@ -33,7 +33,7 @@ async fn results(client: &Client, batch: &str, from: u32, follow: bool) -> Vec<B
     results
 }
 
-async fn ended(client: &Client, id: &str) -> Batch {
+pub async fn ended(client: &Client, id: &str) -> Batch {
     loop {
         let batch = client.batch(id).await.unwrap();
         if batch.state != BatchState::Running {

@@ -156,3 +156,35 @@ async fn a_disk_that_is_nearly_full_takes_no_more_scans() {
     assert!(server.client.ground(&scene.id, &ask("the red sofa")).await.unwrap().stored);
     server.stop().await;
 }
+
+/// A batch takes room for its answers: it is put off, and goes on once the disk has room.
+#[tokio::test]
+async fn a_batch_waits_for_room_on_the_disk() {
+    let server = TestServer::start().await;
+    let scene = server.parsed(Scan::neutral().zip()).await.id;
+    let line = format!("{}\n", serde_json::json!({"scene_id": scene, "query": "the red sofa"}));
+    let batch = server
+        .client
+        .create_batch_of_lines(line.repeat(600), &[("concurrency", "1".to_owned())], None)
+        .await
+        .unwrap();
+    let paused = server.client.tell_batch(&batch.id, "pause").await.unwrap();
+    finished(&server.client, paused.job_id.as_deref().unwrap()).await;
+    let before = server.client.batch(&batch.id).await.unwrap().done;
+    assert!(before < 600);
+    let data = server.give_back().await;
+    let limits = LimitsConfig { keep_free_bytes: 1 << 60, ..LimitsConfig::default() };
+    let server = TestServer::start_on(data, limits, VlmConfig::default(), ModelsConfig::builtin()).await;
+    let job = server.client.tell_batch(&batch.id, "resume").await.unwrap().job_id.unwrap();
+    while server.client.job(&job).await.unwrap().attempts < 2 {
+        tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+    }
+    assert_eq!(server.client.batch(&batch.id).await.unwrap().done, before);
+    let refused = problem(server.client.create_batch_of_lines(line, &[], None).await);
+    assert_eq!((refused.status, refused.code.as_str()), (507, "storage_full"));
+    let data = server.give_back().await;
+    let server = TestServer::start_on(data, LimitsConfig::default(), VlmConfig::default(), ModelsConfig::builtin()).await;
+    assert_eq!(finished(&server.client, &job).await.state, JobState::Succeeded);
+    assert_eq!(server.client.batch(&batch.id).await.unwrap().done, 600);
+    server.stop().await;
+}

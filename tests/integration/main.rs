@@ -10,6 +10,7 @@ mod approach;
 mod archives;
 mod backups;
 mod bad_input;
+mod batch_defaults;
 mod batches;
 mod care;
 mod chat_models;

@@ -9,6 +9,7 @@ use axum::routing::post;
 use futures::stream;
 use serde_json::{Value, json};
 use std::convert::Infallible;
+use std::future::pending;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
 use tokio::time::sleep;
@@ -30,6 +31,8 @@ pub enum Scripted {
     Flood,
     /// A body of which the next byte never comes.
     Stall,
+    /// No answer at all, not even a status.
+    Silent,
     /// Another answer, after a while.
     Slowly(Duration, Box<Self>),
 }
@@ -39,7 +42,7 @@ pub enum Scripted {
 pub struct Script {
     answers: Arc<Mutex<Vec<Scripted>>>,
     pub asked: Arc<Mutex<Vec<Asked>>>,
-    /// Cancelled when a caller leaves a stalled answer.
+    /// Cancelled when a caller leaves an answer that never ends or never begins.
     pub left: CancellationToken,
 }
 
@@ -95,6 +98,10 @@ async fn complete(State(script): State<Script>, headers: HeaderMap, Json(body): 
         Scripted::Flood => {
             let chunk = vec![b' '; 1 << 16];
             Body::from_stream(stream::repeat_with(move || Ok::<_, Infallible>(chunk.clone()))).into_response()
+        }
+        Scripted::Silent => {
+            let _guard = script.left.clone().drop_guard();
+            pending().await
         }
         Scripted::Stall => {
             let guard = script.left.clone().drop_guard();

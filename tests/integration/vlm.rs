@@ -13,6 +13,7 @@ use uniground_types::question::{Ablation, GroundRequest, PromptVersion, Reasoner
 use uniground_types::transcript::PromptPart;
 
 mod budgets;
+mod leaving;
 mod naming;
 mod retries;
 mod trouble;
@@ -297,8 +298,7 @@ async fn a_caller_who_leaves_stops_the_call() {
     server.client.cancel_job(&job.id).await.unwrap();
     assert_eq!(finished(&server.client, &job.id).await.state, JobState::Cancelled);
     // A limit of the question's own.
-    let limited = GroundRequest { timeout_s: Some(0.5), ..by(ReasonerChoice::Vlm) };
-    assert_eq!(problem(server.client.ground(&scene, &limited).await).code, "question_timed_out");
+    leaving::time_out_during_a_call(&server, &scene, &script).await;
     server.stop().await;
 }
 

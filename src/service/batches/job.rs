@@ -1,5 +1,6 @@
 //! Asking the questions of a batch.
 
+use super::items::{BatchDefaults, question_of};
 use super::reason;
 use crate::error::Error;
 use crate::jobs::{JobContext, JobFailure, JobKind, Retry};
@@ -11,6 +12,7 @@ use futures::future::ready;
 use futures::{StreamExt, stream};
 use serde::{Deserialize, Serialize};
 use std::pin::pin;
+use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::sync::atomic::Ordering::Relaxed;
 use std::time::{Duration, Instant};
@@ -70,6 +72,8 @@ enum End {
 struct Run {
     service: Service,
     batch: BatchRow,
+    /// What its items share.
+    defaults: Arc<BatchDefaults>,
     budget: Option<Budget>,
     /// Items that are answered or have failed, those of earlier runs too.
     done: u32,
@@ -82,10 +86,11 @@ impl Service {
     async fn run_batch(&self, JobContext { hold, lost, payload, progress }: JobContext<Payload>) -> Result<String, Error> {
         // Deleted meanwhile, or submitted by a server that did not live to see it through.
         let Some(batch) = self.store.batch(&payload.batch_id).await? else { return Ok("there is no such batch any more".into()) };
+        let defaults = Arc::new(BatchDefaults::from_stored(self.store.batch_defaults(&batch.id).await?.as_deref())?);
         let (numbers, spent) = self.store.batch_figures(&batch.id).await?;
         let done = numbers.values().sum();
         let budget = batch.max_cost_usd.map(|usd| Budget::new(THIS_BATCH, usd).with_spent(spent));
-        let mut run = Run { service: self.clone(), batch, budget, done, progress, hold, lost };
+        let mut run = Run { service: self.clone(), batch, defaults, budget, done, progress, hold, lost };
         loop {
             if !run.is_wanted().await? {
                 return Ok(run.told("stopped"));
@@ -93,6 +98,8 @@ impl Service {
             let Ok(caller) = self.keys.caller_of(run.batch.key_id.as_deref()) else {
                 return run.pause(reason::KEY_REFUSED, "its key is refused").await;
             };
+            // Its answers take room too: on a disk that is nearly full it is put off.
+            self.check_disk(0)?;
             let items = self.store.open_batch_items(&run.batch.id, WINDOW).await?;
             if items.is_empty() {
                 self.store.move_batch(&run.batch.id, &["running"], "succeeded", None).await?;
@@ -118,11 +125,12 @@ impl Run {
         let asking = AtomicBool::new(true);
         let wanted = stream::iter(items).take_while(|_| ready(asking.load(Relaxed)));
         let (service, caller, budget) = (self.service.clone(), caller.clone(), self.budget.clone());
+        let defaults = self.defaults.clone();
         // Tasks of their own: while something is written here they go on, and do not sit on what it waits for.
         let task = |item: OpenItem| {
             let (service, caller, budget) = (service.clone(), caller.clone(), budget.clone());
-            let number = item.item;
-            let asked = async move { service.ask_item(item, &caller, budget.as_ref()).await };
+            let (defaults, number) = (defaults.clone(), item.item);
+            let asked = async move { service.ask_item(item, &defaults, &caller, budget.as_ref()).await };
             let asked = AbortOnDropHandle::new(tokio::spawn(asked.in_current_span()));
             // A question that panics fails, not its batch.
             async move { asked.await.unwrap_or_else(|panic| Ok(failed(number, &panic.into()))) }
@@ -201,13 +209,13 @@ impl Run {
 
 impl Service {
     /// Asks one question, or finds the answer it got before a server was killed. Only what is wrong with the store itself is an error.
-    async fn ask_item(&self, open: OpenItem, caller: &Caller, budget: Option<&Budget>) -> Result<End, Error> {
+    async fn ask_item(&self, open: OpenItem, defaults: &BatchDefaults, caller: &Caller, budget: Option<&Budget>) -> Result<End, Error> {
         let OpenItem { item, scene_id, request, answer_id } = open;
         if let Some(kept) = self.store.answer(&answer_id).await? {
             let Kept { status, usage } = serde_json::from_str(&kept.body)?;
             return Ok(End::Closed(ClosedItem { item, status, cost_usd: usage.cost_usd, error: None }));
         }
-        let request: GroundRequest = match super::submission::question_of(&request) {
+        let request: GroundRequest = match defaults.merge(&request).and_then(|request| question_of(&request)) {
             // What can not be paid for waits; it is not answered by something else.
             Ok(request) if budget.is_some() && self.vlm.is_some() && request.reasoner == ReasonerChoice::Auto => {
                 GroundRequest { reasoner: ReasonerChoice::Vlm, ..request }
@@ -240,8 +248,22 @@ impl Service {
     }
 }
 
+/// Of what is told about an item that failed: it repeats what was asked, and is stored with every item.
+const MAX_DETAIL_CHARS: usize = 500;
+
+fn shortened(text: &str) -> String {
+    match text.char_indices().nth(MAX_DETAIL_CHARS) {
+        Some((cut, _)) => format!("{}...", &text[..cut]),
+        None => text.to_owned(),
+    }
+}
+
 fn failed(item: u32, error: &Error) -> End {
-    let error = Some((error.code().to_owned(), error.to_string()));
+    let detail = match error {
+        Error::Invalid { pointer, detail } => format!("{}: {}", shortened(pointer), shortened(detail)),
+        other => shortened(&other.to_string()),
+    };
+    let error = Some((error.code().to_owned(), detail));
     End::Closed(ClosedItem { item, status: "failed".into(), cost_usd: 0.0, error })
 }
 

@@ -1,5 +1,6 @@
 //! Lists of questions: submitted whole, asked in the background, their results read while they are made.
 
+mod items;
 mod job;
 mod results;
 mod submission;

@@ -1,13 +1,15 @@
 //! Results of a batch, in the order of its items, while they are made or afterwards.
 
+use super::items::BatchDefaults;
 use crate::error::Error;
 use crate::service::answers::table;
 use crate::service::{LineFormat, Service};
 use crate::store::ItemRow;
 use bytes::Bytes;
 use futures::{Stream, stream};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use serde_json::value::RawValue;
+use std::sync::Arc;
 use std::time::Duration;
 use tokio::time::sleep;
 use uniground_types::answer::Answer;
@@ -43,13 +45,6 @@ struct Line<'a> {
     error: Option<JobError>,
 }
 
-/// The question's words, whatever else its item has.
-#[derive(Deserialize)]
-struct Asked {
-    #[serde(default)]
-    query: String,
-}
-
 impl Service {
     /// Streams results in item order. The stream ends with the last item, or, unless it follows, before the first that is not done.
     ///
@@ -57,16 +52,17 @@ impl Service {
     /// [`Error::BatchNotFound`].
     pub async fn batch_results(&self, results: Results) -> Result<impl Stream<Item = Result<Bytes, Error>> + use<>, Error> {
         self.batch_row(&results.batch_id).await?;
+        let defaults = Arc::new(BatchDefaults::from_stored(self.store.batch_defaults(&results.batch_id).await?.as_deref())?);
         let service = self.clone();
         let begin = (results.format == LineFormat::Csv).then(|| Bytes::from(format!("{}\n", columns().join(","))));
         let pages = stream::try_unfold(results, move |wanted| {
-            let service = service.clone();
-            async move { service.next_page(wanted).await }
+            let (service, defaults) = (service.clone(), defaults.clone());
+            async move { service.next_page(wanted, &defaults).await }
         });
         Ok(futures::StreamExt::chain(stream::iter(begin.map(Ok)), pages))
     }
 
-    async fn next_page(&self, mut wanted: Results) -> Result<Option<(Bytes, Results)>, Error> {
+    async fn next_page(&self, mut wanted: Results, defaults: &BatchDefaults) -> Result<Option<(Bytes, Results)>, Error> {
         loop {
             // Looked at before the items: what is closed after this is found next time.
             let (state, ..) = self.batch_state(&self.batch_row(&wanted.batch_id).await?).await?;
@@ -75,8 +71,8 @@ impl Service {
             if let Some(last) = done.last() {
                 wanted.from = last.item + 1;
                 let page = match wanted.format {
-                    LineFormat::Jsonl => lines(&done)?,
-                    LineFormat::Csv => rows_of(&done)?,
+                    LineFormat::Jsonl => lines(&done, defaults)?,
+                    LineFormat::Csv => rows_of(&done, defaults)?,
                 };
                 return Ok(Some((page.into(), wanted)));
             }
@@ -88,10 +84,10 @@ impl Service {
     }
 }
 
-fn lines(rows: &[ItemRow]) -> Result<Vec<u8>, Error> {
+fn lines(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
     let mut page = Vec::new();
     for row in rows {
-        let Asked { query } = serde_json::from_str(&row.request).unwrap_or(Asked { query: String::new() });
+        let query = defaults.query_of(&row.request);
         let line = Line {
             item: row.item,
             scene_id: &row.scene_id,
@@ -112,9 +108,9 @@ fn columns() -> Vec<&'static str> {
     before.into_iter().chain(table::COLUMNS).chain(["error_code", "error"]).collect()
 }
 
-fn rows_of(rows: &[ItemRow]) -> Result<Vec<u8>, Error> {
+fn rows_of(rows: &[ItemRow], defaults: &BatchDefaults) -> Result<Vec<u8>, Error> {
     table::written(rows.iter().map(|row| {
-        let Asked { query } = serde_json::from_str(&row.request).unwrap_or(Asked { query: String::new() });
+        let query = defaults.query_of(&row.request);
         let answer: Option<Answer> = row.answer.as_deref().map(serde_json::from_str).transpose()?;
         let (code, detail) = row.error.clone().unwrap_or_default();
         let item = [row.item.to_string(), row.scene_id.clone(), query, row.status.clone().unwrap_or_default(), row.answer_id.clone()];

@@ -1,18 +1,19 @@
 //! Receiving a batch: items as JSON or as JSONL, of any length, a few at a time.
 
+use super::items::{SCENE_ID, take_scene};
 use super::job::Payload;
 use super::{BatchJob, MAX_CONCURRENCY, MAX_ITEMS, MAX_LABEL_CHARS};
 use crate::error::Error;
 use crate::jobs::JobKind;
 use crate::service::{Caller, Service};
-use crate::store::{NewBatch, NewItem, NewJob, Store, Submitted};
+use crate::store::{NewBatch, NewItem, NewJob, ReceivedBatch, Store, Submitted};
 use bytes::Bytes;
 use futures::{Stream, StreamExt};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
+use tokio::task::yield_now;
 use uniground_types::batch::{Batch, BatchRequest};
 use uniground_types::numbers::zero_or_more;
-use uniground_types::question::GroundRequest;
 
 /// What comes with a batch.
 #[derive(Debug, Clone, Default)]
@@ -32,10 +33,15 @@ pub enum Body<S> {
     Lines(S),
 }
 
-/// Items written together: few enough that no question waits long for the database.
+/// Items written together, and bytes of them: few enough that no question waits long for the database.
 const TOGETHER: usize = 500;
-/// No question needs a longer line.
+const BYTES_TOGETHER: usize = 1 << 20;
+/// No question needs a longer line. Defaults are a part of one.
 const MAX_LINE_BYTES: usize = 64 << 10;
+/// Bytes of all items of a batch and its defaults, as they are stored.
+const MAX_STORED_BYTES: u64 = 1 << 30;
+/// A shared scene is stored with every item: longer than any id is none.
+const MAX_SCENE_ID_BYTES: usize = 64;
 
 impl Submission {
     /// Splits a JSON request into what comes with it and its items.
@@ -59,74 +65,144 @@ impl Submission {
         }
         Ok(())
     }
-
-    /// A question as it is kept: its fields, those it does not have from the defaults.
-    fn item(&self, fields: Map<String, Value>) -> NewItem {
-        let mut all = self.defaults.clone();
-        all.extend(fields);
-        let scene_id = all.remove("scene_id");
-        let scene_id = scene_id.as_ref().and_then(Value::as_str).unwrap_or_default().to_owned();
-        NewItem { scene_id, request: Value::Object(all).to_string() }
-    }
 }
 
-/// The question of an item.
-pub(super) fn question_of(request: &str) -> Result<GroundRequest, Error> {
-    let mut reader = serde_json::Deserializer::from_str(request);
-    let question: GroundRequest = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
-        let pointer: String = error.path().iter().map(|segment| format!("/{segment}")).filter(|s| s != "/?").collect();
-        Error::invalid(pointer, error.inner().to_string())
-    })?;
-    question.check()?;
-    Ok(question)
+/// What a retry is compared by: how the batch was submitted that its idempotency key has made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum DigestForm {
+    /// Each item as its own fields, the shared ones once.
+    Shared,
+    /// Each item as a whole question: batches from before.
+    Whole,
 }
 
 /// Takes items as they come and writes them some at a time.
 struct Receiving<'a> {
     service: &'a Service,
-    submission: Submission,
+    /// Fields of every item that does not have them itself; without the scene once items come.
+    defaults: Map<String, Value>,
+    /// Of lines of defaults that have come.
+    defaults_bytes: usize,
+    scene_id: String,
+    form: DigestForm,
     /// `None` for a batch that was submitted before: it is only compared.
     batch_id: Option<String>,
     digest: Sha256,
     waiting: Vec<NewItem>,
+    waiting_bytes: usize,
     items: u32,
+    stored_bytes: u64,
 }
 
 impl Receiving<'_> {
-    async fn take(&mut self, fields: Map<String, Value>) -> Result<(), Error> {
+    async fn take(&mut self, mut fields: Map<String, Value>) -> Result<(), Error> {
         // "{"defaults": {...}}", before the first item.
         if self.items == 0
             && fields.len() == 1
             && let Some(Value::Object(defaults)) = fields.get("defaults")
         {
+            // What comes in many lines is one list of defaults: together they are no longer than one line.
+            self.defaults_bytes += fields["defaults"].to_string().len();
+            if self.defaults_bytes > MAX_LINE_BYTES {
+                return Err(long_defaults());
+            }
             // The scene of the address stays, unless they name another.
-            self.submission.defaults.extend(defaults.clone());
+            self.defaults.extend(defaults.clone());
             return Ok(());
         }
         if self.items >= MAX_ITEMS {
             return Err(Error::TooManyItems { most: MAX_ITEMS });
         }
-        let item = self.submission.item(fields);
-        self.digest.update(item.scene_id.as_bytes());
-        self.digest.update(item.request.as_bytes());
+        if self.items == 0 {
+            self.settle_defaults()?;
+        }
+        let scene_id = take_scene(&mut fields, &self.scene_id);
+        if self.form == DigestForm::Whole {
+            let own = std::mem::replace(&mut fields, self.defaults.clone());
+            fields.extend(own);
+            yield_now().await;
+        }
+        let request = Value::Object(fields).to_string();
+        if self.form == DigestForm::Shared && request.len() > MAX_LINE_BYTES {
+            return Err(self.too_long());
+        }
+        self.digest.update(scene_id.as_bytes());
+        self.digest.update(request.as_bytes());
         self.digest.update(b"\n");
-        self.waiting.push(item);
+        let bytes = scene_id.len() + request.len();
+        self.stored_bytes += bytes as u64;
+        check_size(self.stored_bytes)?;
         self.items += 1;
-        if self.waiting.len() >= TOGETHER { self.write().await } else { Ok(()) }
+        if self.batch_id.is_none() {
+            return Ok(());
+        }
+        self.waiting.push(NewItem { scene_id, request });
+        self.waiting_bytes += bytes;
+        if self.waiting.len() >= TOGETHER || self.waiting_bytes >= BYTES_TOGETHER { self.write().await } else { Ok(()) }
     }
 
+    /// No more defaults come: items do.
+    fn settle_defaults(&mut self) -> Result<(), Error> {
+        self.scene_id = take_scene(&mut self.defaults, "");
+        if self.scene_id.len() > MAX_SCENE_ID_BYTES {
+            let detail = format!("no scene's id has more than {MAX_SCENE_ID_BYTES} bytes");
+            return Err(Error::invalid(format!("/defaults/{SCENE_ID}"), detail));
+        }
+        let defaults = self.stored_defaults();
+        if defaults.len() > MAX_LINE_BYTES {
+            return Err(long_defaults());
+        }
+        if self.form == DigestForm::Shared && !self.defaults.is_empty() {
+            self.digest.update(b"defaults ");
+            self.digest.update(defaults.as_bytes());
+            self.digest.update(b"\n");
+        }
+        self.stored_bytes += defaults.len() as u64;
+        Ok(())
+    }
+
+    fn stored_defaults(&self) -> String {
+        Value::Object(self.defaults.clone()).to_string()
+    }
+
+    /// Writes what waits, where the disk has room for it.
     async fn write(&mut self) -> Result<(), Error> {
         let items = std::mem::take(&mut self.waiting);
+        let bytes = std::mem::take(&mut self.waiting_bytes);
         if let Some(id) = &self.batch_id {
+            self.service.check_disk(bytes as u64)?;
             self.service.store.insert_batch_items(id, self.items - items.len() as u32, &items).await?;
         }
         Ok(())
+    }
+
+    fn too_long(&self) -> Error {
+        Error::invalid(format!("/items/{}", self.items), format!("a line has at most {MAX_LINE_BYTES} bytes"))
+    }
+
+    /// Takes all items; a batch has at least one.
+    async fn take_all<E>(&mut self, body: Body<impl Stream<Item = Result<Bytes, E>> + Unpin>) -> Result<(), Error> {
+        match body {
+            Body::Items(items) => {
+                for fields in items {
+                    self.take(fields).await?;
+                }
+            }
+            Body::Lines(lines) => self.take_lines(lines).await?,
+        }
+        if self.items == 0 {
+            return Err(Error::invalid("/items", "a batch has at least one question"));
+        }
+        self.write().await
     }
 
     async fn take_line(&mut self, line: &[u8]) -> Result<(), Error> {
         let line = line.trim_ascii();
         if line.is_empty() {
             return Ok(());
+        }
+        if line.len() > MAX_LINE_BYTES {
+            return Err(self.too_long());
         }
         let fields = serde_json::from_slice(line);
         let fields = fields.map_err(|error| Error::invalid(format!("/items/{}", self.items), format!("not a JSON object: {error}")))?;
@@ -147,7 +223,7 @@ impl Receiving<'_> {
                 self.take_line(&line).await?;
             }
             if rest.len() > MAX_LINE_BYTES {
-                return Err(Error::invalid(format!("/items/{}", self.items), format!("a line has at most {MAX_LINE_BYTES} bytes")));
+                return Err(self.too_long());
             }
         }
         let last = std::mem::take(&mut rest);
@@ -155,23 +231,44 @@ impl Receiving<'_> {
     }
 }
 
-/// A batch that is being received; forgotten where its sender leaves.
+fn long_defaults() -> Error {
+    Error::invalid("/defaults", format!("defaults have at most {MAX_LINE_BYTES} bytes as JSON"))
+}
+
+/// Fails where a batch is larger than batches may be.
+fn check_size(stored_bytes: u64) -> Result<(), Error> {
+    if stored_bytes > MAX_STORED_BYTES { Err(Error::BatchTooLarge { most_bytes: MAX_STORED_BYTES }) } else { Ok(()) }
+}
+
+/// A batch that is being received; deleted where its sender leaves.
 struct Unfinished {
     store: Store,
     id: Option<String>,
+}
+
+impl Unfinished {
+    /// Deletes it now, before its sender is answered.
+    async fn discard(&mut self) {
+        if let Some(id) = self.id.clone() {
+            discard(&self.store, &id).await;
+            self.id = None;
+        }
+    }
 }
 
 impl Drop for Unfinished {
     fn drop(&mut self) {
         if let Some(id) = self.id.take() {
             let store = self.store.clone();
-            tokio::spawn(async move {
-                if let Err(error) = store.delete_batch(&id).await {
-                    // The next start does it.
-                    tracing::warn!(error = &error as &dyn std::error::Error, "half a batch could not be forgotten");
-                }
-            });
+            tokio::spawn(async move { discard(&store, &id).await });
         }
+    }
+}
+
+async fn discard(store: &Store, id: &str) {
+    if let Err(error) = store.discard_batch(id).await {
+        let error = &error as &dyn std::error::Error;
+        tracing::warn!(batch_id = id, error, "a refused batch could not be deleted: the next start deletes it");
     }
 }
 
@@ -181,7 +278,7 @@ impl Service {
     /// What is wrong with one question is that item's failure. The same submission again under its idempotency key returns the batch it made.
     ///
     /// # Errors
-    /// [`Error`]: what is no list of JSON objects, or empty, or too long; [`Error::IdempotencyKeyReused`]; a full queue.
+    /// [`Error`]: what is no list of JSON objects, or empty, or too long; [`Error::IdempotencyKeyReused`]; a full queue or disk.
     pub async fn create_batch<E, S: Stream<Item = Result<Bytes, E>> + Unpin>(
         &self,
         submission: Submission,
@@ -189,59 +286,92 @@ impl Service {
         caller: &Caller,
     ) -> Result<Batch, Error> {
         submission.check()?;
-        let key = submission.idempotency_key.clone().map(|key| caller.own(key));
+        let Submission { label, concurrency, max_cost_usd, idempotency_key, defaults } = submission;
+        let key = idempotency_key.map(|key| caller.own(key));
         let before = match &key {
             Some(key) => self.store.batch_of_idempotency_key(key).await?,
             None => None,
         };
-        let batch_id = if before.is_some() {
-            None
+        let (batch_id, form) = if let Some(before) = &before {
+            let defaults = self.store.batch_defaults(&before.id).await?;
+            (None, if defaults.is_some() { DigestForm::Shared } else { DigestForm::Whole })
         } else {
             self.check_disk(0)?;
             self.jobs.check_room::<BatchJob>(caller.key_id()).await?;
-            let Submission { label, concurrency, max_cost_usd, .. } = &submission;
-            let new = NewBatch { label: label.as_deref(), concurrency: *concurrency, max_cost_usd: *max_cost_usd, key_id: caller.key_id() };
-            Some(self.store.insert_batch(new).await?)
+            let new = NewBatch { label: label.as_deref(), concurrency, max_cost_usd, key_id: caller.key_id() };
+            (Some(self.store.insert_batch(new).await?), DigestForm::Shared)
         };
         let mut unfinished = Unfinished { store: self.store.clone(), id: batch_id.clone() };
         let mut digest = Sha256::new();
-        digest.update(serde_json::to_vec(&(&submission.label, submission.concurrency, submission.max_cost_usd))?);
-        let mut receiving = Receiving { service: self, submission, batch_id: batch_id.clone(), digest, waiting: Vec::new(), items: 0 };
-        let taken = async {
-            match body {
-                Body::Items(items) => {
-                    for fields in items {
-                        receiving.take(fields).await?;
-                    }
-                }
-                Body::Lines(lines) => receiving.take_lines(lines).await?,
-            }
-            if receiving.items == 0 {
-                return Err(Error::invalid("/items", "a batch has at least one question"));
-            }
-            receiving.write().await
+        digest.update(serde_json::to_vec(&(&label, concurrency, max_cost_usd))?);
+        let mut receiving = Receiving {
+            service: self,
+            defaults,
+            defaults_bytes: 0,
+            scene_id: String::new(),
+            form,
+            batch_id: batch_id.clone(),
+            digest,
+            waiting: Vec::new(),
+            waiting_bytes: 0,
+            items: 0,
+            stored_bytes: 0,
         };
-        let taken = taken.await;
+        let received = receiving.take_all(body).await;
+        let defaults = receiving.stored_defaults();
         let (items, digest) = (receiving.items, receiving.digest.finalize());
         let request: String = digest.iter().map(|byte| format!("{byte:02x}")).collect();
         let Some(id) = batch_id else {
-            taken?;
+            received?;
             let before = before
                 .filter(|before| before.request.as_deref() == Some(&request))
                 .ok_or(Error::IdempotencyKeyReused)?;
             return self.batch(&before.id).await;
         };
-        taken?;
-        let payload = serde_json::to_string(&Payload { batch_id: id.clone() })?;
-        let job = NewJob { kind: BatchJob::NAME, payload: &payload, key_id: caller.key_id(), done: None };
-        match self.store.submit_batch(&id, items, &request, key.as_deref(), &job).await? {
-            Submitted::New(job) => {
+        let received = received.map(|()| ReceivedBatch { id: &id, items, defaults: &defaults, request: &request, key: key.as_deref() });
+        let submitted = match received {
+            Ok(received) => self.submit(&received, caller).await,
+            Err(error) => Err(error),
+        };
+        match submitted {
+            Ok(Submitted::New(job)) => {
                 unfinished.id = None;
                 self.jobs.recorded::<BatchJob>(job);
                 self.batch(&id).await
             }
-            Submitted::MadeBefore(before) => self.batch(&before.id).await,
-            Submitted::KeyReused => Err(Error::IdempotencyKeyReused),
+            Ok(Submitted::MadeBefore(before)) => {
+                unfinished.discard().await;
+                self.batch(&before.id).await
+            }
+            Ok(Submitted::KeyReused) => {
+                unfinished.discard().await;
+                Err(Error::IdempotencyKeyReused)
+            }
+            Err(error) => {
+                unfinished.discard().await;
+                Err(error)
+            }
         }
+    }
+
+    async fn submit(&self, received: &ReceivedBatch<'_>, caller: &Caller) -> Result<Submitted, Error> {
+        let payload = serde_json::to_string(&Payload { batch_id: received.id.to_owned() })?;
+        let job = NewJob { kind: BatchJob::NAME, payload: &payload, key_id: caller.key_id(), done: None };
+        Ok(self.store.submit_batch(received, &job).await?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_batch_is_as_large_as_it_may_be_and_no_larger() {
+        assert!(check_size(MAX_STORED_BYTES).is_ok());
+        let refused = check_size(MAX_STORED_BYTES + 1).unwrap_err();
+        assert_eq!(
+            (refused.code(), refused.to_string().as_str()),
+            ("batch_too_large", "a batch holds at most 1024 MB: send it in parts")
+        );
     }
 }

@@ -87,16 +87,13 @@ impl Service {
     /// [`Error::SceneNotFound`].
     pub async fn delete_scene(&self, id: &str) -> Result<(), Error> {
         let trash = match self.try_to_delete(id).await {
-            Err(error) if error.is_disk_full() && self.store.let_go_of_reserve() => {
-                tracing::warn!("the disk is full: deleting with what was kept in reserve");
-                self.try_to_delete(id).await
-            }
+            Err(error) if error.is_disk_full() && self.store.release_reserve() => self.try_to_delete(id).await,
             done => done,
         }?;
         let store = self.store.clone();
-        spawn_blocking(move || {
-            drop(trash);
-            store.keep_reserve();
+        tokio::spawn(async move {
+            let _ = spawn_blocking(move || drop(trash)).await;
+            store.restore_reserve().await;
         });
         Ok(())
     }

@@ -2,7 +2,7 @@
 
 use super::{BackupError, KINDS, Name};
 use crate::store::blobs::Blobs;
-use crate::store::{StoreError, now};
+use crate::store::{StoreError, now, reserve};
 use camino::{Utf8Path, Utf8PathBuf};
 use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
 use sqlx::{Connection, Executor};
@@ -33,7 +33,7 @@ impl Snapshot {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
             _ => {}
         }
-        let mut source = SqliteConnection::connect_with(&read_only(database)).await?;
+        let mut source = open_source(database).await?;
         let taken_at = now();
         sqlx::query("VACUUM INTO ?").bind(file.as_str()).execute(&mut source).await?;
         source.close().await?;
@@ -84,6 +84,20 @@ pub async fn rename_folder(database: &Utf8Path, id: &str) -> Result<(), BackupEr
     }
     connection.close().await?;
     Ok(())
+}
+
+/// Opens the database that is copied. What SQLite lays beside it wants room: on a full disk that of the reserve, if no server runs.
+async fn open_source(database: &Utf8Path) -> Result<SqliteConnection, StoreError> {
+    match try_to_open_source(database).await {
+        Err(error) if reserve::make_room_to_open(database.parent().unwrap_or(database), &error) => try_to_open_source(database).await,
+        opened => opened,
+    }
+}
+
+async fn try_to_open_source(database: &Utf8Path) -> Result<SqliteConnection, StoreError> {
+    let mut source = SqliteConnection::connect_with(&read_only(database)).await?;
+    sqlx::query("SELECT count(*) FROM sqlite_schema").execute(&mut source).await?;
+    Ok(source)
 }
 
 fn read_only(database: &Utf8Path) -> SqliteConnectOptions {

@@ -1,5 +1,6 @@
 //! What a model may cost, and what happens when that is spent.
 
+use super::leaving::time_out_during_a_call;
 use super::{QUERY, builtin, by, config, corrections, six_lines, start};
 use crate::script::{Script, Scripted, fails, says};
 use crate::server::{TestServer, ask, problem, rows};
@@ -127,9 +128,10 @@ async fn what_may_be_billed_counts_and_outlives_the_server() {
 
     // A caller that leaves while the model thinks has asked it all the same.
     script.next(vec![Scripted::Stall]);
-    let leaving = GroundRequest { timeout_s: Some(0.3), ..by(ReasonerChoice::Vlm) };
-    assert_eq!(problem(server.client.ground(&scene, &leaving).await).code, "question_timed_out");
-    tokio::time::sleep(std::time::Duration::from_millis(300)).await;
+    time_out_during_a_call(&server, &scene, &script).await;
+    while spent(&server).await.1 > 0 {
+        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+    }
     assert!(spent(&server).await.0 > usd + 0.5);
 
     let data = server.give_back().await;

@@ -1,0 +1,146 @@
+//! Questions of a batch: an item stores the fields it has of its own, its batch those that all items share.
+
+use crate::error::Error;
+use serde::{Deserialize, Deserializer};
+use serde_json::value::RawValue;
+use serde_json::{Map, Value};
+use std::borrow::Cow;
+use std::collections::BTreeMap;
+use uniground_types::question::GroundRequest;
+
+/// Stored separately from the other fields: of every item.
+pub const SCENE_ID: &str = "scene_id";
+
+/// Fields that the items of a batch share.
+#[derive(Debug, Default)]
+pub struct BatchDefaults(BTreeMap<String, Box<RawValue>>);
+
+impl BatchDefaults {
+    /// Reads them as stored. A batch without any stores whole questions in its items.
+    pub fn from_stored(json: Option<&str>) -> Result<Self, Error> {
+        Ok(Self(json.map(serde_json::from_str).transpose()?.unwrap_or_default()))
+    }
+
+    /// Returns the whole question of an item, its own fields before the shared ones. Text by text: numbers keep their digits.
+    pub fn merge<'a>(&self, request: &'a str) -> Result<Cow<'a, str>, Error> {
+        if self.0.is_empty() {
+            return Ok(request.into());
+        }
+        let own: BTreeMap<String, &RawValue> = serde_json::from_str(request)?;
+        let mut all: BTreeMap<&str, &RawValue> = self.0.iter().map(|(name, value)| (name.as_str(), value.as_ref())).collect();
+        all.extend(own.iter().map(|(name, value)| (name.as_str(), *value)));
+        Ok(serde_json::to_string(&all)?.into())
+    }
+
+    /// Returns the words of an item's question; none where it has none.
+    pub fn query_of(&self, request: &str) -> String {
+        /// The question's words, whatever they are and whatever else the item has.
+        #[derive(Default, Deserialize)]
+        struct Query<'a> {
+            #[serde(borrow, default, deserialize_with = "present")]
+            query: Option<&'a RawValue>,
+        }
+        fn present<'de, D: Deserializer<'de>>(value: D) -> Result<Option<&'de RawValue>, D::Error> {
+            <&RawValue>::deserialize(value).map(Some)
+        }
+        let own: Query<'_> = serde_json::from_str(request).unwrap_or_default();
+        let query = own.query.or_else(|| self.0.get("query").map(Box::as_ref));
+        query.and_then(|query| serde_json::from_str(query.get()).ok()).unwrap_or_default()
+    }
+}
+
+/// Takes the scene out of an item's fields; `shared` where the item names none.
+pub fn take_scene(fields: &mut Map<String, Value>, shared: &str) -> String {
+    let own = fields.remove(SCENE_ID);
+    own.map_or_else(|| shared.to_owned(), |id| id.as_str().unwrap_or_default().to_owned())
+}
+
+/// The question of an item.
+pub fn question_of(request: &str) -> Result<GroundRequest, Error> {
+    let mut reader = serde_json::Deserializer::from_str(request);
+    let question: GroundRequest = serde_path_to_error::deserialize(&mut reader).map_err(|error| {
+        let pointer: String = error.path().iter().map(|segment| format!("/{segment}")).filter(|s| s != "/?").collect();
+        Error::invalid(pointer, error.inner().to_string())
+    })?;
+    question.check()?;
+    Ok(question)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+    use serde_json::json;
+
+    fn fields(value: Value) -> Map<String, Value> {
+        serde_json::from_value(value).unwrap()
+    }
+
+    /// How a question was stored before batches had defaults of their own.
+    fn whole(defaults: &Map<String, Value>, own: Map<String, Value>) -> String {
+        let mut all = defaults.clone();
+        all.extend(own);
+        Value::Object(all).to_string()
+    }
+
+    fn stored(defaults: &Map<String, Value>) -> BatchDefaults {
+        BatchDefaults::from_stored(Some(&Value::Object(defaults.clone()).to_string())).unwrap()
+    }
+
+    #[test]
+    fn an_item_goes_before_the_defaults() {
+        let defaults = fields(json!({"query": "the sofa", "top_k": 3, "min_confidence": 0.1, "\"odd\"\n": [1, {"a": null}]}));
+        for own in [
+            json!({}),
+            json!({"query": "the lamp"}),
+            json!({"query": null, "top_k": 1e300, "min_confidence": 0.300_000_000_000_000_04}),
+            json!({"query": 3, "another": "\u{e9}\u{1}"}),
+        ] {
+            let (defaults, own) = (&defaults, fields(own));
+            let request = Value::Object(own.clone()).to_string();
+            assert_eq!(stored(defaults).merge(&request).unwrap(), whole(defaults, own.clone()));
+            let query = serde_json::from_str::<Map<String, Value>>(&whole(defaults, own)).unwrap()["query"]
+                .as_str()
+                .map(str::to_owned);
+            assert_eq!(stored(defaults).query_of(&request), query.unwrap_or_default());
+        }
+        assert!(stored(&defaults).merge("no JSON").is_err());
+    }
+
+    /// Of batches from before: nothing is read again, nothing changes.
+    #[test]
+    fn whole_questions_stay_as_they_are() {
+        let none = BatchDefaults::from_stored(None).unwrap();
+        assert!(matches!(none.merge("{ \"query\" : 1.50 }").unwrap(), Cow::Borrowed("{ \"query\" : 1.50 }")));
+        let texts = [("{\"query\": \"a\"}", "a"), ("{\"query\": 1}", ""), ("{}", ""), ("", "")];
+        assert!(texts.iter().all(|(request, query)| none.query_of(request) == *query));
+    }
+
+    #[test]
+    fn an_item_that_names_no_scene_asks_about_the_shared_one() {
+        for (own, scene) in [
+            (json!({"query": "a"}), "shared"),
+            (json!({"scene_id": "own"}), "own"),
+            (json!({"scene_id": 3}), ""),
+            (json!({"scene_id": null}), ""),
+        ] {
+            let mut own = fields(own);
+            assert_eq!(take_scene(&mut own, "shared"), scene);
+            assert!(!own.contains_key(SCENE_ID));
+        }
+    }
+
+    proptest! {
+        /// Whatever is shared and whatever is not: the question is the text that it was when items stored all of it.
+        #[test]
+        fn merged_questions_are_those_that_were_stored_whole(
+            shared in proptest::collection::btree_map("[a-c\"\\\\]{0,2}", "\\PC{0,8}", 0..4),
+            own in proptest::collection::btree_map("[a-c\"\\\\]{0,2}", any::<f64>(), 0..4),
+        ) {
+            let shared: Map<String, Value> = shared.into_iter().map(|(name, text)| (name, text.into())).collect();
+            let own: Map<String, Value> = own.into_iter().map(|(name, number)| (name, number.into())).collect();
+            let request = Value::Object(own.clone()).to_string();
+            prop_assert_eq!(stored(&shared).merge(&request).unwrap().into_owned(), whole(&shared, own));
+        }
+    }
+}

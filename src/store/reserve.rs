@@ -1,0 +1,131 @@
+//! The reserve: a file of a few megabytes in the data folder that is removed when the disk is full. Opening a database and deleting rows
+//! need room too.
+//!
+//! A server that runs releases half of it to delete. The rest is for the next start, which needs room before it can delete anything. The
+//! reserve is written again once the disk has several times its room.
+
+use super::blobs::remove_tree;
+use super::data_folder::LOCK;
+use super::{Store, StoreError};
+use camino::{Utf8Path, Utf8PathBuf};
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use tokio::task::spawn_blocking;
+
+const RESERVE: &str = "reserve";
+const BYTES: u64 = 8 << 20;
+/// What a server that runs leaves of it.
+const LEFT_FOR_START: u64 = BYTES / 2;
+/// It is written where the disk has so many times its room.
+const TIMES_FREE: u64 = 4;
+/// A disk with less room is full, however an error names itself: what can not be created has no code of its own.
+const FULL_BELOW_BYTES: u64 = 256 << 10;
+/// Folders that only save time, or were left by a process that was killed.
+const DISPENSABLE: [&str; 2] = ["tmp", "blobs/checkpoints"];
+
+impl Store {
+    /// Releases a part of the reserve, so that something can be deleted on a full disk; whether there was any.
+    #[must_use]
+    pub fn release_reserve(&self) -> bool {
+        self.blobs.has_free_hands() && release_half(self.folder.path())
+    }
+
+    /// Writes the reserve again, where the disk has room for it, off the async threads.
+    pub async fn restore_reserve(&self) {
+        if !self.blobs.has_free_hands() {
+            return;
+        }
+        let folder = self.folder.clone();
+        let written = spawn_blocking(move || write(folder.path()))
+            .await
+            .unwrap_or_else(|error| Err(io::Error::other(error)));
+        match written {
+            Ok(is_there) => tracing::trace!(is_there, "looked at the reserve file"),
+            Err(error) => tracing::debug!(%error, "the reserve file could not be written"),
+        }
+    }
+}
+
+/// Bytes that may still be written to the disk of a folder.
+pub(super) fn free_bytes(folder: &Utf8Path) -> io::Result<u64> {
+    let disk = rustix::fs::statvfs(folder.as_std_path())?;
+    Ok(disk.f_bavail.saturating_mul(disk.f_frsize))
+}
+
+/// Writes the reserve, or what is missing of it; `false` where the disk has too little room for it.
+pub(super) fn write(data_dir: &Utf8Path) -> io::Result<bool> {
+    let file = data_dir.join(RESERVE);
+    let there = fs::metadata(&file).map_or(0, |file| file.len());
+    if there >= BYTES {
+        return Ok(true);
+    }
+    if free_bytes(data_dir)? < TIMES_FREE * BYTES {
+        return Ok(false);
+    }
+    let mut reserve = OpenOptions::new().create(true).append(true).open(&file)?;
+    // Written, not only announced: a file of holes takes no room.
+    let missing = vec![1; usize::try_from(BYTES - there).unwrap_or(0)];
+    let written = reserve.write_all(&missing).and_then(|()| reserve.sync_all());
+    written.inspect_err(|_| drop(reserve.set_len(there))).map(|()| true)
+}
+
+/// Gives a part of the reserve to the disk, for a server that runs; whether there was one.
+pub(super) fn release_half(data_dir: &Utf8Path) -> bool {
+    let file = data_dir.join(RESERVE);
+    let Some(bytes) = fs::metadata(&file).ok().map(|file| file.len()).filter(|bytes| *bytes > LEFT_FOR_START) else { return false };
+    let shortened = OpenOptions::new().write(true).open(&file).and_then(|reserve| reserve.set_len(LEFT_FOR_START));
+    if shortened.is_ok() {
+        tracing::warn!("disk full: released {} MB of the reserve file", (bytes - LEFT_FOR_START) >> 20);
+    }
+    shortened.is_ok()
+}
+
+/// Makes room on a full disk for a store that could not be opened, where this is why; whether it is worth another try.
+pub(super) fn make_room_to_open(data_dir: &Utf8Path, error: &StoreError) -> bool {
+    let may_be_full = matches!(error, StoreError::Database(_) | StoreError::Migration(_) | StoreError::Blobs(_));
+    let is_full = error.is_full() || (may_be_full && free_bytes(data_dir).is_ok_and(|free| free < FULL_BELOW_BYTES));
+    if !is_full {
+        return false;
+    }
+    if let Some(bytes) = release(data_dir) {
+        tracing::warn!("disk full: released the reserve file of {} MB", bytes >> 20);
+        return true;
+    }
+    match remove_dispensable(data_dir) {
+        Ok(0) => tracing::error!("disk full, and there is no reserve file: free {} MB on the disk of {data_dir}", BYTES >> 20),
+        Ok(folders) => {
+            tracing::warn!("disk full, and there is no reserve file: removed {folders} temporary folders and checkpoints of parses");
+            return true;
+        }
+        Err(error) => tracing::error!(%error, "disk full, and no room could be made"),
+    }
+    false
+}
+
+/// Gives the reserve to the disk; its bytes, where there was one.
+fn release(data_dir: &Utf8Path) -> Option<u64> {
+    let file = data_dir.join(RESERVE);
+    let bytes = fs::metadata(&file).ok()?.len();
+    fs::remove_file(file).ok()?;
+    (bytes > 0).then_some(bytes)
+}
+
+/// Removes what a data folder can do without, if nobody uses it, until there is as much room as the reserve gives; how many folders.
+fn remove_dispensable(data_dir: &Utf8Path) -> io::Result<u32> {
+    let lock = File::open(data_dir.join(LOCK))?;
+    if lock.try_lock().is_err() {
+        return Ok(0);
+    }
+    let mut removed = 0;
+    for folder in DISPENSABLE.map(|folder| data_dir.join(folder)) {
+        let Ok(entries) = folder.read_dir_utf8() else { continue };
+        let entries: Vec<Utf8PathBuf> = entries.filter_map(Result::ok).map(camino::Utf8DirEntry::into_path).collect();
+        for entry in entries {
+            if free_bytes(data_dir)? >= BYTES {
+                return Ok(removed);
+            }
+            removed += u32::from(remove_tree(&entry, &data_dir.join("tmp")).is_ok());
+        }
+    }
+    Ok(removed)
+}

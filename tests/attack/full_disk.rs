@@ -1,0 +1,369 @@
+//! A disk without a free byte: while the server runs, while it is stopped, and while a batch comes in. On a file system of its own, which only
+//! root can make. Every row makes sure that the disk was full before it says what became of it.
+
+use crate::archives::Scan;
+use crate::hostile::ZIP;
+use crate::server::{Process, ask, command, parsed, problem};
+use crate::{Report, since};
+use camino::{Utf8Path, Utf8PathBuf};
+use reqwest::Method;
+use serde_json::json;
+use sqlx::Connection;
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection};
+use std::fs::{self, File, OpenOptions};
+use std::io::{BufRead, BufReader, ErrorKind, Write};
+use std::process::{Command, Output, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+use tokio::time::sleep;
+use uniground_client::{Client, ClientError};
+
+/// Room enough that a server is ready on it, and lays its reserve aside.
+const DISK: &str = "size=160m";
+/// So small a disk is below what is kept free by default.
+const NOTHING: &str = "0";
+
+pub async fn run(report: &mut Report) {
+    let Some(disk) = Disk::mount() else {
+        println!("left out: 4 a full disk (no file system can be mounted here)");
+        return;
+    };
+    running(&disk, report).await;
+    stopped(&disk, report).await;
+    drop(disk);
+    let Some(disk) = Disk::mount() else { return };
+    batches(&disk, report).await;
+}
+
+struct Disk {
+    mount: tempfile::TempDir,
+    /// Outside of it.
+    logs: tempfile::TempDir,
+}
+
+impl Drop for Disk {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("-l").arg(self.mount.path()).status();
+    }
+}
+
+impl Disk {
+    fn mount() -> Option<Self> {
+        let (mount, logs) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let mounted = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", DISK, "tmpfs"])
+            .arg(mount.path())
+            .stderr(Stdio::null())
+            .status();
+        mounted.is_ok_and(|status| status.success()).then_some(Self { mount, logs })
+    }
+
+    fn path(&self) -> &Utf8Path {
+        Utf8Path::from_path(self.mount.path()).unwrap()
+    }
+
+    fn data(&self) -> Utf8PathBuf {
+        self.path().join("data")
+    }
+
+    fn log(&self) -> Utf8PathBuf {
+        Utf8PathBuf::from_path_buf(self.logs.path().join("log")).unwrap()
+    }
+
+    fn free_bytes(&self) -> u64 {
+        let disk = rustix::fs::statvfs(self.path().as_std_path()).unwrap();
+        disk.f_bavail * disk.f_frsize
+    }
+
+    /// Whether no byte is free, and none can be written.
+    fn is_full(&self) -> bool {
+        let probe = self.path().join("probe");
+        let written = fs::write(&probe, "x");
+        let _ = fs::remove_file(probe);
+        self.free_bytes() == 0 && written.is_err_and(|error| error.kind() == ErrorKind::StorageFull)
+    }
+
+    /// Fills it to the last byte, again and again until nobody gives anything back any more.
+    async fn fill(&self) {
+        let mut full_for = 0;
+        for _ in 0..600 {
+            let mut filler = OpenOptions::new().create(true).append(true).open(self.path().join("filler")).unwrap();
+            for bytes in [1 << 20, 4096, 1] {
+                while filler.write_all(&vec![1; bytes]).is_ok() {}
+            }
+            full_for = if self.is_full() { full_for + 1 } else { 0 };
+            if full_for == 10 {
+                return;
+            }
+            sleep(Duration::from_millis(50)).await;
+        }
+        panic!("the disk does not fill: {} bytes are free", self.free_bytes());
+    }
+
+    fn empty(&self) {
+        fs::remove_file(self.path().join("filler")).unwrap();
+    }
+
+    /// Bytes of the reserve; 0 where there is none.
+    fn reserve(&self) -> u64 {
+        fs::metadata(self.data().join("reserve")).map_or(0, |file| file.len())
+    }
+
+    /// A server; what it says where it does not start.
+    fn start(&self, keep_free: &str) -> Result<Process, String> {
+        let mut command = command(&self.data(), "127.0.0.1:0");
+        let log = File::create(self.log()).unwrap();
+        let mut child = command.args(["--keep-free-bytes", keep_free]).stdout(Stdio::piped()).stderr(log).spawn().unwrap();
+        let mut line = String::new();
+        BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+        if let Some(address) = line.trim().strip_prefix("listening on ") {
+            Ok(Process { client: Client::new(address, None).unwrap(), child })
+        } else {
+            child.wait().unwrap();
+            Err(self.told())
+        }
+    }
+
+    fn told(&self) -> String {
+        fs::read_to_string(self.log()).unwrap()
+    }
+
+    /// A command on the data folder.
+    fn command(&self, args: &[&str]) -> (bool, String) {
+        let command = Command::new(env!("CARGO_BIN_EXE_uniground"))
+            .args(args)
+            .args(["--data-dir", self.data().as_str()])
+            .output();
+        let Output { status, stdout, stderr } = command.unwrap();
+        (status.success(), format!("{}{}", String::from_utf8_lossy(&stdout), String::from_utf8_lossy(&stderr)))
+    }
+
+    /// A stopped server's folder with its reserve, on a disk that others have filled meanwhile.
+    async fn fill_while_stopped(&self) -> u64 {
+        self.empty();
+        self.start(NOTHING).unwrap().terminate();
+        let reserve = self.reserve();
+        self.fill().await;
+        reserve
+    }
+}
+
+/// The last words, for a row that did not hold.
+fn end_of(text: &str) -> &str {
+    let mut from = text.len().saturating_sub(300);
+    while !text.is_char_boundary(from) {
+        from += 1;
+    }
+    text[from..].trim()
+}
+
+async fn scan(client: &Client, note: &str) -> String {
+    parsed(client, ZIP, Scan::neutral().with("note.txt", note).zip()).await.id
+}
+
+async fn is_ready(client: &Client) -> bool {
+    client.request(Method::GET, "readyz").send().await.unwrap().status() == 200
+}
+
+async fn is_stored(client: &Client, scene: &str) -> Result<bool, ClientError> {
+    client.ground(scene, &ask("the red sofa")).await.map(|answer| answer.stored)
+}
+
+/// Filled while a server runs, stopped and started like that.
+async fn running(disk: &Disk, report: &mut Report) {
+    let process = disk.start(NOTHING).unwrap();
+    let client = &process.client;
+    let (scene, first, second) = (scan(client, "1").await, scan(client, "2").await, scan(client, "3").await);
+    let held = disk.reserve() == 8 << 20 && is_ready(client).await;
+    report.row("4 before the disk is full", if held { "ready, with a reserve" } else { "not ready" }, 0.0, None, "", held);
+    disk.fill().await;
+    let start = Instant::now();
+    // What the database's log has room for is stored yet.
+    let (mut answers, mut failed, mut not_stored) = (0, 0, 0);
+    while not_stored < 3 && answers < 2000 {
+        answers += 1;
+        match is_stored(client, &scene).await {
+            Ok(is_stored) => not_stored += u32::from(!is_stored),
+            Err(_) => failed += 1,
+        }
+    }
+    let told = format!("{answers} answered, {not_stored} not stored");
+    let held = disk.is_full() && failed == 0 && not_stored == 3;
+    report.row("4 questions on a full disk", &told, since(start), None, "", held);
+    disk.fill().await;
+    let told = problem(client.create_scene(None, ZIP, Scan::neutral().with("note.txt", "x".repeat(1 << 20)).zip()).await);
+    report.row("4 an upload on a full disk", &format!("{} {}", told.status, told.code), 0.0, None, "", told.status == 507);
+    disk.fill().await;
+    let lines = format!("{}\n", json!({"scene_id": scene, "query": "the red sofa"})).repeat(3000);
+    let told = problem(client.create_batch_of_lines(lines, &[], None).await);
+    let left = client.batches(10, None).await.unwrap().batches.len();
+    let held = told.status == 507 && left == 0;
+    report.row(
+        "4 a batch on a full disk",
+        &format!("{} {}", told.status, told.code),
+        0.0,
+        None,
+        &format!("{left} batches"),
+        held,
+    );
+    disk.fill().await;
+    let ready = is_ready(client).await;
+    report.row("4 readiness on a full disk", if ready { "ready" } else { "not ready" }, 0.0, None, "", !ready);
+    let start = Instant::now();
+    disk.fill().await;
+    let deleted = client.delete_scene(&first).await;
+    let told = if deleted.is_ok() { "204" } else { "not possible" };
+    report.row("4 DELETE on a full disk", told, since(start), None, "room again", deleted.is_ok() && disk.free_bytes() > 0);
+
+    // What deleting has left of the reserve is for the next start.
+    disk.fill().await;
+    process.terminate();
+    disk.fill().await;
+    let (start, reserve) = (Instant::now(), disk.reserve());
+    let (held, told) = starts_and_deletes(disk, &second).await;
+    report.row(
+        "4 filled again after that, stopped and started",
+        &told,
+        since(start),
+        None,
+        &format!("of {} MB in reserve", reserve >> 20),
+        held,
+    );
+}
+
+/// Starts on a full disk, where it answers and deletes.
+async fn starts_and_deletes(disk: &Disk, scene: &str) -> (bool, String) {
+    if !disk.is_full() {
+        return (false, "the disk is not full".into());
+    }
+    let process = match disk.start(NOTHING) {
+        Ok(process) => process,
+        Err(told) => return (false, format!("does not start: {}", end_of(&told))),
+    };
+    let (answered, deleted) = (is_stored(&process.client, scene).await.is_ok(), process.client.delete_scene(scene).await.is_ok());
+    let released = disk.told().contains("disk full: released the reserve file of");
+    process.terminate();
+    let told = format!("answered {answered}, deleted {deleted}, told {released}");
+    (answered && deleted && released && disk.free_bytes() > 0, told)
+}
+
+/// Filled by others while no server runs.
+async fn stopped(disk: &Disk, report: &mut Report) {
+    disk.empty();
+    let process = disk.start(NOTHING).unwrap();
+    let (mine, other) = (scan(&process.client, "4").await, scan(&process.client, "5").await);
+    process.terminate();
+    disk.fill().await;
+
+    for args in [&["gc"][..], &["doctor"], &["backup"]] {
+        let reserve = disk.fill_while_stopped().await;
+        let to = tempfile::tempdir().unwrap();
+        let to = to.path().join("backup").into_os_string().into_string().unwrap();
+        let args = if args == ["backup"] { vec!["backup", &to] } else { args.to_vec() };
+        let (start, full) = (Instant::now(), disk.is_full());
+        let (done, told) = disk.command(&args);
+        let held = full && reserve == 8 << 20 && done && told.contains("disk full: released the reserve file of 8 MB");
+        let answer = if held { "works".to_owned() } else { format!("full {full}, done {done}: {}", end_of(&told)) };
+        report.row(&format!("4 {} on a full disk", args[0]), &answer, since(start), None, "", held);
+    }
+
+    let reserve = disk.fill_while_stopped().await;
+    let start = Instant::now();
+    let (held, told) = starts_and_deletes(disk, &mine).await;
+    let held = held && reserve == 8 << 20;
+    report.row("4 a start on a disk filled meanwhile", &told, since(start), None, "of 8 MB in reserve", held);
+
+    // Nobody has left a reserve: what only saves time makes room.
+    disk.fill_while_stopped().await;
+    fs::remove_file(disk.data().join("reserve")).unwrap();
+    disk.fill().await;
+    let (start, full) = (Instant::now(), disk.is_full());
+    let (done, told) = disk.command(&["gc"]);
+    let answer = if done { "works".to_owned() } else { end_of(&told).to_owned() };
+    report.row("4 gc on a full disk without a reserve", &answer, since(start), None, "", full && done);
+
+    disk.empty();
+    let process = disk.start(NOTHING).unwrap();
+    let stored = is_stored(&process.client, &other).await.is_ok_and(|stored| stored) && disk.reserve() == 8 << 20;
+    report.row("4 once there is room", if stored { "stored, with a reserve" } else { "not stored" }, 0.0, None, "", stored);
+    process.terminate();
+    let (whole, told) = disk.command(&["doctor"]);
+    report.row("4 the doctor after that", if whole { "whole" } else { end_of(&told) }, 0.0, None, "", whole);
+}
+
+async fn rows_of_batches(disk: &Disk) -> i64 {
+    let options = SqliteConnectOptions::new().filename(disk.data().join("uniground.sqlite"));
+    let mut database = SqliteConnection::connect_with(&options).await.unwrap();
+    let sql = "SELECT (SELECT count(*) FROM batches) + (SELECT count(*) FROM batch_items)";
+    let rows = sqlx::query_scalar(sql).fetch_one(&mut database).await.unwrap();
+    database.close().await.unwrap();
+    rows
+}
+
+/// Batches that would fill the disk.
+async fn batches(disk: &Disk, report: &mut Report) {
+    const KEPT_FREE: u64 = 100 << 20;
+    let process = disk.start(&KEPT_FREE.to_string()).unwrap();
+    let client = &process.client;
+    let scene = scan(client, "1").await;
+    let (least, over) = (Arc::new(AtomicU64::new(u64::MAX)), Arc::new(AtomicBool::new(false)));
+    let watch = {
+        let (least, over, path) = (least.clone(), over.clone(), disk.path().to_owned());
+        tokio::task::spawn_blocking(move || {
+            while !over.load(Ordering::Relaxed) {
+                let disk = rustix::fs::statvfs(path.as_std_path()).unwrap();
+                least.fetch_min(disk.f_bavail * disk.f_frsize, Ordering::Relaxed);
+                std::thread::sleep(Duration::from_millis(2));
+            }
+        })
+    };
+    // Defaults of 60 kB for 20,000 items: 1.2 GB, were they copied.
+    let start = Instant::now();
+    let before = disk.free_bytes();
+    let items = vec![json!({}); 20_000];
+    let body = json!({"items": items, "defaults": {"scene_id": scene, "query": "a".repeat(60_000)}});
+    let batch = client.create_batch(&serde_json::from_value(body).unwrap(), None).await;
+    let told = batch.as_ref().map_or_else(|error| format!("{error}"), |batch| format!("{} items", batch.items));
+    if let Ok(batch) = &batch {
+        client.tell_batch(&batch.id, "cancel").await.unwrap();
+        client.follow_job(batch.job_id.as_deref().unwrap(), |_| {}).await.unwrap();
+    }
+    let taken = before.saturating_sub(disk.free_bytes()) >> 20;
+    let held = batch.is_ok() && taken < 25;
+    report.row("4 a batch of large defaults", &told, since(start), None, &format!("{taken} MB"), held);
+
+    let start = Instant::now();
+    let known = rows_of_batches(disk).await;
+    let line = format!("{}\n", json!({"scene_id": scene, "query": "a".repeat(30_000)}));
+    let sent = client.create_batch_of_lines(line.repeat(4000), &[], None).await;
+    let told = match sent {
+        Err(ClientError::Problem(problem)) => format!("{} {}", problem.status, problem.code),
+        // Whoever goes on sending may not hear the refusal.
+        Err(_) => "cut off".to_owned(),
+        Ok(batch) => format!("{} items taken", batch.items),
+    };
+    let mut left = rows_of_batches(disk).await - known;
+    for _ in 0..100 {
+        if left == 0 {
+            break;
+        }
+        sleep(Duration::from_millis(100)).await;
+        left = rows_of_batches(disk).await - known;
+    }
+    over.store(true, Ordering::Relaxed);
+    watch.await.unwrap();
+    let least = least.load(Ordering::Relaxed);
+    let log = fs::metadata(disk.data().join("uniground.sqlite-wal")).map_or(0, |file| file.len());
+    let held = !told.contains("taken") && left == 0 && least > KEPT_FREE - (16 << 20) && log < 1 << 20;
+    let rest = format!("{left} rows, log of {log} bytes, least free {} MB", least >> 20);
+    report.row("4 a batch larger than the disk", &told, since(start), None, &rest, held);
+    let stored = is_stored(client, &scene).await.is_ok_and(|stored| stored);
+    report.row("4 a question after that", if stored { "stored" } else { "not stored" }, 0.0, None, "", stored);
+    process.terminate();
+    let before = fs::metadata(disk.data().join("uniground.sqlite")).unwrap().len();
+    let (done, told) = disk.command(&["gc"]);
+    let after = fs::metadata(disk.data().join("uniground.sqlite")).unwrap().len();
+    let answer = if done { format!("{} -> {} MB", before >> 20, after >> 20) } else { end_of(&told).to_owned() };
+    report.row("4 gc gives the refused batch's room back", &answer, 0.0, None, "", done && after < before / 2);
+}
