@@ -27,8 +27,8 @@ lacks() { ! has "$1"; }
 timed='timed() { echo "$1 begins" >>"$SCRATCH/order"; sleep "$2"; echo "$1 ends" >>"$SCRATCH/order"; }'
 
 run "$timed
-step one 100 - timed one 1
-step two 100 - timed two 1
+step one 100 - timed one 3
+step two 100 - timed two 3
 step three 100 - timed three 0
 step after-one 50 one timed after-one 0
 step single alone - timed single 0.5
@@ -70,7 +70,7 @@ check "an unknown name is told before anything runs" [ $code = 2 ]
 
 CI_CPU=200 SCRATCH=$scratch bash -c "source ./ci-steps.sh; $timed; step long 100 - timed long 300; run_steps" >"$scratch/out" 2>&1 &
 runner=$!
-sleep 1
+until has '^-- long starts'; do sleep 0.1; done
 kill -TERM $runner
 wait $runner || code=$?
 check "a run that is interrupted stops its steps and prints the table" has '^long .* stopped$'
