@@ -7,7 +7,7 @@
 use super::blobs::remove_tree;
 use super::data_folder::LOCK;
 use super::{Store, StoreError};
-use camino::{Utf8Path, Utf8PathBuf};
+use camino::{Utf8DirEntry, Utf8Path, Utf8PathBuf};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use tokio::task::spawn_blocking;
@@ -119,7 +119,7 @@ fn remove_dispensable(data_dir: &Utf8Path) -> io::Result<u32> {
     let mut removed = 0;
     for folder in DISPENSABLE.map(|folder| data_dir.join(folder)) {
         let Ok(entries) = folder.read_dir_utf8() else { continue };
-        let entries: Vec<Utf8PathBuf> = entries.filter_map(Result::ok).map(camino::Utf8DirEntry::into_path).collect();
+        let entries: Vec<Utf8PathBuf> = entries.filter_map(Result::ok).map(Utf8DirEntry::into_path).collect();
         for entry in entries {
             if free_bytes(data_dir)? >= BYTES {
                 return Ok(removed);
@@ -128,4 +128,43 @@ fn remove_dispensable(data_dir: &Utf8Path) -> io::Result<u32> {
         }
     }
     Ok(removed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn bytes(folder: &Utf8Path) -> u64 {
+        fs::metadata(folder.join(RESERVE)).map_or(0, |file| file.len())
+    }
+
+    /// A server that deletes leaves a part to the next start, which may need it as much.
+    #[test]
+    fn a_running_server_leaves_a_part_of_the_reserve_to_the_next_start() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = Utf8Path::from_path(place.path()).unwrap();
+        assert!(!release_half(folder));
+        assert!(write(folder).unwrap());
+        assert_eq!(bytes(folder), BYTES);
+        assert!(release_half(folder));
+        assert!(!release_half(folder));
+        assert_eq!(bytes(folder), LEFT_FOR_START);
+        assert!(write(folder).unwrap());
+        assert_eq!(bytes(folder), BYTES);
+        let full = || StoreError::Blobs(io::ErrorKind::StorageFull.into());
+        assert!(make_room_to_open(folder, &full()) && bytes(folder) == 0);
+        assert!(!make_room_to_open(folder, &full()), "there is nothing more to release");
+    }
+
+    /// What is no full disk costs no reserve.
+    #[test]
+    fn other_troubles_release_nothing() {
+        let place = tempfile::tempdir().unwrap();
+        let folder = Utf8Path::from_path(place.path()).unwrap();
+        write(folder).unwrap();
+        for error in [StoreError::InUse, StoreError::HalfMoved, StoreError::Blobs(io::ErrorKind::PermissionDenied.into())] {
+            assert!(!make_room_to_open(folder, &error), "{error}");
+        }
+        assert_eq!(bytes(folder), BYTES);
+    }
 }
