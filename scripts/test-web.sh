@@ -2,12 +2,12 @@
 # The page: types, whether web/dist belongs to its sources, and a headless browser against the real server.
 #
 # Needs Node 20.19 with npm, Debian's chromium (or CHROMIUM=program), and the server built (or UNIGROUND=program).
-# Where Node or Chromium is missing it says so and leaves out what wants them.
+# Where Node or Chromium is missing it says so and leaves out what wants them. `browser` leaves out everything but the browser.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 command -v npm >/dev/null || { scripts/web.sh check && echo "left out: the page's tests, there is no npm" && exit 0; }
-scripts/web.sh check
+if [ "${1:-}" = browser ]; then scripts/web.sh install; else scripts/web.sh check; fi
 
 chromium=${CHROMIUM:-$(command -v chromium || command -v chromium-browser || command -v google-chrome || true)}
 [ -n "$chromium" ] || { echo "left out: the page in a browser, there is no chromium (Debian: apt-get install chromium)"; exit 0; }

@@ -24,7 +24,7 @@ build() { # FOLDER
 
 case "${1:-build}" in
 install)
-    install
+    if command -v npm >/dev/null; then install; else echo "left out: packages of the page, there is no npm"; fi
     ;;
 build)
     install
