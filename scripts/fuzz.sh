@@ -6,5 +6,5 @@ seconds=${1:-60}
 for target in $(sed -n 's/^name = "\(.*\)"$/\1/p' Cargo.toml | tail -n +2); do
     mkdir -p "corpus/$target" "seeds/$target"
     # The seeds are read, what is found goes to the corpus.
-    cargo +nightly fuzz run "$target" "corpus/$target" "seeds/$target" -- -max_total_time="$seconds" -max_len=65536 -rss_limit_mb=2048 -timeout=20
+    cargo +nightly fuzz run "$target" "corpus/$target" "seeds/$target" -- -max_total_time="$seconds" -max_len=65536 -rss_limit_mb=1024 -timeout=20
 done
