@@ -8,7 +8,7 @@ use super::problem::Refused;
 use crate::error::Error;
 use axum::body::{Body, Bytes};
 use axum::extract::{MatchedPath, Request};
-use axum::http::{HeaderMap, HeaderValue, StatusCode, header};
+use axum::http::{HeaderValue, StatusCode, header};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use http_body::{Body as HttpBody, Frame, SizeHint};
@@ -50,15 +50,11 @@ const STREAM: MinimumRate = MinimumRate {
 };
 
 impl MinimumRate {
-    /// Returns the rule for a request.
-    fn of(request: &Request) -> Self {
-        let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
-        let is_json = |headers: &HeaderMap| {
-            headers
-                .get(header::CONTENT_TYPE)
-                .is_some_and(|kind| kind.as_bytes().starts_with(b"application/json"))
-        };
-        match STREAMED.contains(&route) || (route == STREAMED_UNLESS_JSON && !is_json(request.headers())) {
+    /// Returns the rule for a route and a content type.
+    fn of(route: &str, content_type: &str) -> Self {
+        // Not "application/jsonl", which is streamed.
+        let is_json = || content_type.split(';').next().unwrap_or_default().trim().eq_ignore_ascii_case("application/json");
+        match STREAMED.contains(&route) || (route == STREAMED_UNLESS_JSON && !is_json()) {
             true => STREAM,
             false => WHOLE,
         }
@@ -83,7 +79,9 @@ impl MinimumRate {
 
 /// Abandons bodies that arrive too slowly.
 pub async fn limit(request: Request, next: Next) -> Response {
-    let rate = MinimumRate::of(&request);
+    let route = request.extensions().get::<MatchedPath>().map_or("", MatchedPath::as_str);
+    let content_type = request.headers().get(header::CONTENT_TYPE).and_then(|value| value.to_str().ok());
+    let rate = MinimumRate::of(route, content_type.unwrap_or_default());
     limit_to(rate, request, next).await
 }
 
@@ -256,6 +254,26 @@ mod tests {
             assert_eq!(STREAM.patience(received, waited), patience, "{received} bytes in {waited:?}");
         }
         assert_eq!(WHOLE.patience(1 << 20, s(19)), s(1));
+    }
+
+    #[test]
+    fn uploads_and_lists_of_questions_are_streamed_and_json_is_not() {
+        for (route, content_type, is_streamed) in [
+            ("/v1/scenes", "application/zip", true),
+            // What an upload is, its bytes say.
+            ("/v1/scenes", "application/json", true),
+            ("/v1/uploads/{upload_id}", "application/offset+octet-stream", true),
+            ("/v1/batches", "application/jsonl", true),
+            ("/v1/batches", "application/x-ndjson; charset=utf-8", true),
+            ("/v1/batches", "application/json", false),
+            ("/v1/batches", "Application/JSON; charset=utf-8", false),
+            ("/v1/scenes/import", "application/json", false),
+            ("/mcp", "application/json", false),
+            ("", "", false),
+        ] {
+            let rate = MinimumRate::of(route, content_type);
+            assert_eq!(rate.bytes_per_s.is_some(), is_streamed, "{route} as {content_type}");
+        }
     }
 
     #[test]
