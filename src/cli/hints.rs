@@ -12,7 +12,7 @@ use uniground_types::job::JobError;
 pub struct ParseFailed(pub JobError);
 
 /// Codes of problems that are the scan's own: what a service says of one it can not read.
-const OF_SCANS: [&str; 15] = [
+const OF_SCANS: [&str; 16] = [
     "archive_unreadable",
     "archive_entry_unsafe",
     "unknown_layout",
@@ -28,6 +28,7 @@ const OF_SCANS: [&str; 15] = [
     "no_usable_frames",
     "frame_unreadable",
     "convention_mismatch",
+    "scan_too_costly",
 ];
 
 /// An error with what helps, where it is one of those that everybody meets.

@@ -23,7 +23,7 @@ const STDERR_BYTES: usize = 4 << 10;
 /// The longest message of a child.
 const MAX_MESSAGE_BYTES: u64 = 1 << 20;
 /// Of the environment a child has these variables and no others: secrets are not for it.
-const ENVIRONMENT: [&str; 3] = ["LD_LIBRARY_PATH", "PATH", "TMPDIR"];
+const ENVIRONMENT: [&str; 4] = ["LD_LIBRARY_PATH", "PATH", "RAYON_NUM_THREADS", "TMPDIR"];
 /// Stages that a child reports, as jobs name them.
 const STAGES: [&str; 6] = ["import", "check_reprojection", "levelling", "fuse_cloud", "look_through", "check_pictures"];
 const SIGKILL: i32 = 9;
@@ -198,15 +198,19 @@ fn outcome(ended: Ended, task: &Task, memory_bytes: u64, time_limit: Duration) -
             return told;
         }
         _ if out_of_time => return too_costly(format!("{} s", time_limit.as_secs())),
-        // A clean exit without an outcome, or what the system has killed: nobody's file is at fault.
+        // The system is out of memory, say: the scan is not at fault.
         _ if status.signal() == Some(SIGKILL) => return Err(ReadError::Killed),
+        // The child catches panics. An exit without an outcome is the program's own failure, not the scan's.
+        _ if status.signal().is_none() => {
+            return Err(io::Error::other(format!("it ended with {status} and without an outcome: {}", stderr.trim())).into());
+        }
         _ => {}
     }
     tracing::warn!(%status, stderr = stderr.trim_end(), "the process that read a scan has crashed");
     if stderr.contains("memory allocation of") || stderr.contains("capacity overflow") {
         return too_costly(format!("{} MB of memory (--reader-memory-mb)", memory_bytes >> 20));
     }
-    let message = format!("{file}: its reader crashed: the file is damaged, or not what it says it is");
+    let message = format!("{file}: the reader crashed on it; the file is damaged or of another format");
     Err(IngestError::Reported { kind: IngestErrorKind::Malformed, message }.into())
 }
 
@@ -216,7 +220,7 @@ mod tests {
     use std::fs;
     use std::os::unix::fs::PermissionsExt;
 
-    /// What comes of a task whose child is this shell script, and what its progress was.
+    /// Runs a task whose child is this shell script.
     fn run(script: &str, is_cancelled: impl Fn() -> bool + Send + Sync + 'static) -> Result<Outcome, ReadError> {
         let folder = tempfile::tempdir().unwrap();
         let program = Utf8PathBuf::from_path_buf(folder.path().join("reader")).unwrap();
@@ -242,15 +246,16 @@ mod tests {
         assert_eq!(kind(run(failed, never)), IngestErrorKind::EmptyScene);
         assert_eq!(kind(run("kill -ABRT $$", never)), IngestErrorKind::Malformed);
         assert_eq!(kind(run("kill -SEGV $$", never)), IngestErrorKind::Malformed);
-        assert_eq!(kind(run("exit 3", never)), IngestErrorKind::Malformed);
         let out_of_memory = "echo 'memory allocation of 1099511627776 bytes failed' >&2; kill -ABRT $$";
         assert_eq!(kind(run(out_of_memory, never)), IngestErrorKind::TooCostly);
         assert_eq!(kind(run("kill -XCPU $$", never)), IngestErrorKind::TooCostly);
         assert!(matches!(run("kill -KILL $$", never), Err(ReadError::Killed)));
         assert_eq!(kind(run("exec sleep 60", || true)), IngestErrorKind::Cancelled);
-        assert_eq!(kind(run("echo no message; exit 0", never)), IngestErrorKind::Malformed);
-        // More than pipes hold, on both.
-        let talkative = "i=0; while [ $i -lt 20000 ]; do echo filler >&2; i=$((i+1)); done; exit 1";
+        for without_outcome in ["exit 3", "exit 0", "echo no message; exit 0"] {
+            assert!(matches!(run(without_outcome, never), Err(ReadError::Process(_))), "{without_outcome}");
+        }
+        // More than a pipe holds.
+        let talkative = "i=0; while [ $i -lt 20000 ]; do echo filler >&2; i=$((i+1)); done; kill -ABRT $$";
         assert_eq!(kind(run(talkative, never)), IngestErrorKind::Malformed);
     }
 

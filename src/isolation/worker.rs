@@ -24,6 +24,7 @@ pub fn run() -> io::Result<()> {
     limit(Resource::Core, 0);
     limit(Resource::Cpu, cpu_s);
     limit_memory(memory_bytes);
+    offer_to_oom_killer();
     end_with_parent()?;
     let pool = background::pool().map_err(io::Error::other)?;
     let subject = task.subject();
@@ -42,6 +43,14 @@ fn limit_memory(bytes: u64) {
     limit(Resource::Data, bytes);
     #[cfg(not(target_os = "linux"))]
     limit(Resource::As, bytes);
+}
+
+/// Where the machine runs out of memory, this process goes first, and not the service.
+fn offer_to_oom_killer() {
+    #[cfg(target_os = "linux")]
+    if let Err(error) = std::fs::write("/proc/self/oom_score_adj", "1000") {
+        tracing::debug!(%error, "the kernel's out-of-memory score could not be raised");
+    }
 }
 
 fn limit(resource: Resource, most: u64) {

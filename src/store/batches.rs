@@ -249,7 +249,10 @@ impl Store {
             deleted => deleted?,
         }
         if let Err(error) = self.truncate_log().await {
-            tracing::debug!(error = &error as &dyn std::error::Error, "the database's log keeps its room until it is used again");
+            tracing::debug!(
+                error = &error as &dyn std::error::Error,
+                "the write-ahead log could not be truncated; its file keeps its size for now"
+            );
         }
         self.restore_reserve().await;
         Ok(())
